@@ -1,0 +1,1 @@
+//! The 2D maze: geometry, physics, renderer and episodes.

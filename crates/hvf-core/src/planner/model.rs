@@ -1,0 +1,121 @@
+//! What the planner asks of a world: two traits, always over whole batches.
+//!
+//! Letters in shapes: `B` problems, `M` subgoal samples, `K` subgoals, `L` latent dimensions,
+//! `D` candidates per problem, `H` time steps, `A` action dimensions.
+
+use ndarray::{Array2, ArrayView3, ArrayView4};
+
+use crate::{Error, Result};
+
+/// The box `[low, high]` of one action, `A` dimensions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ActionSpace {
+    low: Vec<f32>,
+    high: Vec<f32>,
+}
+
+impl ActionSpace {
+    /// A box from its corners.
+    ///
+    /// # Errors
+    /// `low` empty, of another length than `high`, not finite, or not below `high`.
+    pub fn new(low: Vec<f32>, high: Vec<f32>) -> Result<Self> {
+        if low.is_empty() {
+            return Err(Error::invalid("action_low", "must hold at least one dimension"));
+        }
+        if low.len() != high.len() {
+            return Err(Error::invalid(
+                "action_high",
+                format!("must have as many dimensions as action_low ({}), got {}", low.len(), high.len()),
+            ));
+        }
+        for (dimension, (l, h)) in low.iter().zip(&high).enumerate() {
+            if !(l.is_finite() && h.is_finite() && l < h) {
+                return Err(Error::invalid(
+                    "action_low",
+                    format!("must be finite and below action_high, got [{l}, {h}] in dimension {dimension}"),
+                ));
+            }
+        }
+        Ok(Self { low, high })
+    }
+
+    /// Lowest action, `[A]`.
+    pub fn low(&self) -> &[f32] {
+        &self.low
+    }
+
+    /// Highest action, `[A]`.
+    pub fn high(&self) -> &[f32] {
+        &self.high
+    }
+
+    /// Number of action dimensions, `A`.
+    pub fn dim(&self) -> usize {
+        self.low.len()
+    }
+}
+
+/// A batch of frames in a model's own memory: host bytes, simulator states, a tensor on a GPU.
+pub trait Frames: Clone {
+    /// Number of frames.
+    fn len(&self) -> usize;
+
+    /// Whether there is no frame.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The frames at `index`, in that order; an index may repeat.
+    ///
+    /// # Errors
+    /// An index beyond the batch, or a failure of the model's memory.
+    fn select(&self, index: &[usize]) -> Result<Self>;
+}
+
+/// Predicts what actions lead to, and says how far that is from a goal.
+pub trait WorldModel {
+    /// The frames that this model starts from and is scored against.
+    type Frames: Frames;
+
+    /// The box that actions are drawn from.
+    fn action_space(&self) -> &ActionSpace;
+
+    /// Planning cost of every candidate: `starts[B]`, `goals[B]`, `actions[B, D, H, A]` to
+    /// `costs[B, D]`. A cost of NaN ranks last.
+    ///
+    /// # Errors
+    /// Whatever keeps the model from answering.
+    fn rollout_costs(
+        &self,
+        starts: &Self::Frames,
+        goals: &Self::Frames,
+        actions: ArrayView4<'_, f32>,
+    ) -> Result<Array2<f32>>;
+
+    /// The same costs where all problems share one start and one set of candidates:
+    /// `start[1]`, `goals[B]`, `actions[D, H, A]` to `costs[B, D]`, with `D` rollouts instead of
+    /// `B * D`. `None` if the model has no such shortcut. Must equal what
+    /// [`rollout_costs`](Self::rollout_costs) gives.
+    fn shared_rollout_costs(
+        &self,
+        _start: &Self::Frames,
+        _goals: &Self::Frames,
+        _actions: ArrayView3<'_, f32>,
+    ) -> Option<Result<Array2<f32>>> {
+        None
+    }
+}
+
+/// Draws images that are possible in a scene, from latents.
+pub trait SubgoalModel<F: Frames> {
+    /// Latent dimensions of one image, `L`.
+    fn latent_dim(&self) -> usize;
+
+    /// Images for `latents[M, K, L]` in the scene of `scene[1]`: `M * K` frames, sample-major
+    /// (frame `m * K + k` is subgoal `k` of sample `m`).
+    ///
+    /// # Errors
+    /// Whatever keeps the model from answering.
+    fn decode(&self, scene: &F, latents: ArrayView3<'_, f32>) -> Result<F>;
+}

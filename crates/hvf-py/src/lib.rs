@@ -1,0 +1,13 @@
+//! Python bindings of `hvf-core`: convert, check, release the GIL; nothing else.
+#![deny(missing_docs)]
+
+mod error;
+
+use pyo3::prelude::*;
+
+/// Maze, image costs, CEM, visual MPC and subgoal search, in Rust.
+#[pymodule]
+fn hvf_core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    Ok(())
+}
