@@ -1,0 +1,63 @@
+# The whole project in a few words: `make help`.
+#
+# Everything below builds what it needs. The first run makes a virtual environment in .venv,
+# compiles the Rust extension and installs the Python packages (torch is the large one);
+# later runs start at once.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+OUT ?= outputs
+RUST_SOURCES := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml Cargo.lock
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test bench lint format clean
+
+help: ## Show this list
+	@echo "HVF: hierarchical visual foresight"
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk 'BEGIN {FS = ":.*## "}; {printf "  make %-8s %s\n", $$1, $$2}'
+
+$(VENV)/.python: ## (internal) virtual environment
+	@command -v cargo >/dev/null || { echo "error: cargo not found; install Rust 1.89 or newer (https://rustup.rs)"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { echo "error: Python 3.10 or newer is needed"; exit 1; }
+	@echo "== set-up 1/3: virtual environment in $(VENV)"
+	@$(PYTHON) -m venv $(VENV) || { echo "error: on Debian, apt install python3-venv"; exit 1; }
+	@touch $@
+
+$(VENV)/.maturin: $(VENV)/.python
+	@echo "== set-up 2/3: maturin"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip "maturin>=1.9,<2"
+	@touch $@
+
+$(VENV)/.extension: $(VENV)/.maturin pyproject.toml $(RUST_SOURCES)
+	@echo "== set-up 3/3: Rust extension and Python packages (the first time: several minutes, torch is 5 GB)"
+	@PIP_QUIET=1 VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --release --extras dev --quiet
+	@touch $@
+
+setup: $(VENV)/.extension ## Make the virtual environment, build and install everything
+
+demo: setup ## Reach goal images in the maze with the shipped models; writes pictures
+	@$(BIN)/hvf demo maze --out $(OUT)/demo
+
+test: setup ## Build and run all tests (cargo and pytest)
+	cargo test --release --quiet -p hvf-core
+	$(BIN)/python -m pytest
+
+bench: setup ## Throughput of maze, costs and planner; ratios to numpy and torch
+	cargo bench -p hvf-core
+	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+lint: setup ## Formatting, clippy, ruff, mypy
+	cargo fmt --all --check
+	cargo clippy --release --all-targets --quiet -- -D warnings
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: setup ## Rewrite the sources as lint wants them
+	cargo fmt --all
+	$(BIN)/ruff check --fix-only --quiet .
+	$(BIN)/ruff format .
+
+clean: ## Remove builds and outputs (keeps .venv and data)
+	rm -rf target $(OUT) .pytest_cache .mypy_cache .ruff_cache .hypothesis
