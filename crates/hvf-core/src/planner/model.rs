@@ -3,7 +3,7 @@
 //! Letters in shapes: `B` problems, `M` subgoal samples, `K` subgoals, `L` latent dimensions,
 //! `D` candidates per problem, `H` time steps, `A` action dimensions.
 
-use ndarray::{Array2, ArrayView3, ArrayView4};
+use ndarray::{Array2, Array3, Array4};
 
 use crate::{Error, Result};
 
@@ -81,8 +81,18 @@ pub trait WorldModel {
     /// The box that actions are drawn from.
     fn action_space(&self) -> &ActionSpace;
 
+    /// The most candidates, `B * D`, that this model wants in one call. The planner asks for at
+    /// least one problem whatever this says. Results must not depend on it; between two calls the
+    /// planner looks whether the user wants to stop, so a call should take well under a second.
+    fn max_candidates(&self) -> usize {
+        1 << 16
+    }
+
     /// Planning cost of every candidate: `starts[B]`, `goals[B]`, `actions[B, D, H, A]` to
     /// `costs[B, D]`. A cost of NaN ranks last.
+    ///
+    /// The actions (standard layout) are the model's own from here on: it may keep them or
+    /// overwrite them, since the planner draws its elites again from their counters.
     ///
     /// # Errors
     /// Whatever keeps the model from answering.
@@ -90,7 +100,7 @@ pub trait WorldModel {
         &self,
         starts: &Self::Frames,
         goals: &Self::Frames,
-        actions: ArrayView4<'_, f32>,
+        actions: Array4<f32>,
     ) -> Result<Array2<f32>>;
 
     /// The same costs where all problems share one start and one set of candidates:
@@ -101,7 +111,7 @@ pub trait WorldModel {
         &self,
         _start: &Self::Frames,
         _goals: &Self::Frames,
-        _actions: ArrayView3<'_, f32>,
+        _actions: Array3<f32>,
     ) -> Option<Result<Array2<f32>>> {
         None
     }
@@ -117,5 +127,5 @@ pub trait SubgoalModel<F: Frames> {
     ///
     /// # Errors
     /// Whatever keeps the model from answering.
-    fn decode(&self, scene: &F, latents: ArrayView3<'_, f32>) -> Result<F>;
+    fn decode(&self, scene: &F, latents: Array3<f32>) -> Result<F>;
 }
