@@ -1,1 +1,14 @@
 //! The 2D maze: geometry, physics, renderer and episodes.
+
+pub mod batch;
+pub mod episodes;
+pub mod geometry;
+pub mod motion;
+pub mod physics;
+pub mod render;
+
+pub use batch::{collect, locate_batch, render_batch, step_batch, Interaction};
+pub use episodes::{success, Difficulty, Episode};
+pub use geometry::{FreeSpace, Scene, State};
+pub use physics::{step, ACTION_LIMIT};
+pub use render::{Renderer, IMAGE_SIZE};
