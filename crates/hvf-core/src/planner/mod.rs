@@ -1,5 +1,18 @@
 //! Planning: the cross-entropy method, visual MPC and the subgoal search, generic over two traits.
+//!
+//! Bottom up: [`philox`] and [`sampler`] draw candidates from counters, [`cem`] optimises a batch
+//! of problems with them, [`mpc`] lets it choose actions for a [`WorldModel`], and [`search`] lets
+//! it choose the latents of a [`SubgoalModel`]'s images by what it costs to plan between them.
 
+pub mod cem;
+pub mod distribution;
 pub mod model;
+pub mod mpc;
+pub mod philox;
+pub mod sampler;
+pub mod search;
 
+pub use cem::{CemConfig, IterationStats};
 pub use model::{ActionSpace, Frames, SubgoalModel, WorldModel};
+pub use mpc::{ActionInitial, Interrupt, MpcConfig, Plan, Problems};
+pub use search::{search, HvfConfig, Reduction, SearchResult, SearchStats};

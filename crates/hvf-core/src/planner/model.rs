@@ -26,7 +26,11 @@ impl ActionSpace {
         if low.len() != high.len() {
             return Err(Error::invalid(
                 "action_high",
-                format!("must have as many dimensions as action_low ({}), got {}", low.len(), high.len()),
+                format!(
+                    "must have as many dimensions as action_low ({}), got {}",
+                    low.len(),
+                    high.len()
+                ),
             ));
         }
         for (dimension, (l, h)) in low.iter().zip(&high).enumerate() {
