@@ -7,6 +7,7 @@
 
 pub mod error;
 pub mod image;
+pub mod keypoint;
 pub mod maze;
 pub mod planner;
 

@@ -2,6 +2,8 @@
 #![deny(missing_docs)]
 
 mod error;
+mod keypoint;
+mod maze;
 
 use pyo3::prelude::*;
 
@@ -9,5 +11,7 @@ use pyo3::prelude::*;
 #[pymodule]
 fn hvf_core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    keypoint::register(module)?;
+    maze::register(module)?;
     Ok(())
 }

@@ -1,0 +1,367 @@
+//! The learned compact dynamics model as a [`WorldModel`].
+
+use std::sync::Arc;
+
+use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3, ArrayView4, Axis};
+use rayon::prelude::*;
+
+use super::cell::{Cell, Lanes, LANES};
+use super::sprite::{GoalTerms, Sprite};
+use crate::image::{GaussianBlur, OverHorizon};
+use crate::planner::{ActionSpace, Frames, WorldModel};
+use crate::{Error, Result};
+
+/// Frames as the model sees them: the image, where the moving part is, and a code of the rest.
+///
+/// Selecting frames copies indices, not images.
+#[derive(Clone, Debug)]
+pub struct KeypointFrames {
+    pool: Arc<Pool>,
+    index: Vec<usize>,
+}
+
+#[derive(Debug)]
+struct Pool {
+    size: usize,
+    images: Vec<u8>,
+    keypoints: Vec<[f32; 2]>,
+    codes: Array2<f32>,
+}
+
+impl KeypointFrames {
+    /// Frames from `images[N, S, S, 3]`, `keypoints[N, 2]` (row, column in [-1, 1], pixel centres
+    /// of the first and last row at -1 and 1) and scene codes `[N, E]`.
+    ///
+    /// # Errors
+    /// Shapes that do not fit each other, or numbers that are not finite.
+    pub fn new(
+        images: ArrayView4<'_, u8>,
+        keypoints: ArrayView2<'_, f32>,
+        codes: ArrayView2<'_, f32>,
+    ) -> Result<Self> {
+        let (count, size, width, channels) = images.dim();
+        if size != width || channels != 3 || size < 2 {
+            return Err(Error::invalid(
+                "images",
+                format!("expected shape [N, S, S, 3], got {:?}", images.shape()),
+            ));
+        }
+        if keypoints.dim() != (count, 2) {
+            return Err(Error::invalid(
+                "keypoints",
+                format!("expected shape [{count}, 2], got {:?}", keypoints.shape()),
+            ));
+        }
+        if codes.nrows() != count {
+            return Err(Error::invalid(
+                "codes",
+                format!("expected {count} rows, got {}", codes.nrows()),
+            ));
+        }
+        if keypoints.iter().any(|x| !x.is_finite()) {
+            return Err(Error::invalid("keypoints", "must be finite"));
+        }
+        if codes.iter().any(|x| !x.is_finite()) {
+            return Err(Error::invalid("codes", "must be finite"));
+        }
+        let pool = Pool {
+            size,
+            images: images.iter().copied().collect(),
+            keypoints: keypoints.rows().into_iter().map(|row| [row[0], row[1]]).collect(),
+            codes: codes.as_standard_layout().into_owned(),
+        };
+        Ok(Self { pool: Arc::new(pool), index: (0..count).collect() })
+    }
+
+    /// Height and width of the images, `S`.
+    pub fn image_size(&self) -> usize {
+        self.pool.size
+    }
+
+    /// Image `i`, `S * S * 3` bytes.
+    pub fn image(&self, i: usize) -> &[u8] {
+        let bytes = self.pool.size * self.pool.size * 3;
+        &self.pool.images[self.index[i] * bytes..][..bytes]
+    }
+
+    /// Keypoint `i`, (row, column) in [-1, 1].
+    pub fn keypoint(&self, i: usize) -> [f32; 2] {
+        self.pool.keypoints[self.index[i]]
+    }
+
+    /// Scene code `i`, `[E]`.
+    pub fn code(&self, i: usize) -> &[f32] {
+        let width = self.pool.codes.ncols();
+        self.pool.codes.as_slice().map_or(&[], |all| &all[self.index[i] * width..][..width])
+    }
+}
+
+impl Frames for KeypointFrames {
+    fn len(&self) -> usize {
+        self.index.len()
+    }
+
+    fn select(&self, index: &[usize]) -> Result<Self> {
+        let picked = index
+            .iter()
+            .map(|&i| {
+                self.index.get(i).copied().ok_or_else(|| {
+                    Error::invalid("index", format!("{i} is beyond {} frames", self.len()))
+                })
+            })
+            .collect::<Result<_>>()?;
+        Ok(Self { pool: Arc::clone(&self.pool), index: picked })
+    }
+}
+
+/// Learned dynamics whose planning cost is the pixel cost of the predicted frame.
+///
+/// # How it works
+/// 1. The cell moves the keypoint of the start frame by each action in turn
+///    (`hidden^2` multiply-adds per step and candidate).
+/// 2. The predicted frame is the start frame with its sprite moved to the new keypoint.
+/// 3. Its squared distance to the goal image, per pixel, has a closed form ([`Sprite`]), so no
+///    frame is decoded.
+#[derive(Clone, Debug)]
+pub struct KeypointWorld {
+    cell: Cell,
+    sprite: Sprite,
+    size: usize,
+    actions: ActionSpace,
+    gram: Option<Array2<f32>>,
+    over_horizon: OverHorizon,
+}
+
+impl KeypointWorld {
+    /// A world of images of `size` pixels, seen through a Gaussian blur of `blur_sigma` pixels
+    /// (0 for none).
+    ///
+    /// # Errors
+    /// An action space of another dimension than the cell's, a sprite that cannot be drawn, an
+    /// image size below 2, or a blur that is negative or not finite.
+    pub fn new(
+        cell: Cell,
+        sprite: Sprite,
+        actions: ActionSpace,
+        size: usize,
+        blur_sigma: f64,
+        over_horizon: OverHorizon,
+    ) -> Result<Self> {
+        sprite.validate()?;
+        if size < 2 {
+            return Err(Error::invalid("image_size", format!("must be at least 2, got {size}")));
+        }
+        if cell.action_dim() != actions.dim() {
+            return Err(Error::invalid(
+                "action_low",
+                format!("expected {} dimensions, got {}", cell.action_dim(), actions.dim()),
+            ));
+        }
+        let gram = GaussianBlur::new(blur_sigma, "blur")?.map(|blur| {
+            let matrix = blur.matrix(size);
+            Array2::from_shape_fn((size, size), |(i, j)| {
+                (0..size).map(|k| matrix[k * size + i] * matrix[k * size + j]).sum::<f64>() as f32
+            })
+        });
+        Ok(Self { cell, sprite, size, actions, gram, over_horizon })
+    }
+
+    /// Keypoint in [-1, 1] to pixels.
+    fn pixels(&self, keypoint: [f32; 2]) -> [f32; 2] {
+        keypoint.map(|x| (x + 1.0) * (0.5 * (self.size - 1) as f32))
+    }
+
+    fn check(&self, argument: &'static str, frames: &KeypointFrames) -> Result<()> {
+        if frames.image_size() != self.size {
+            return Err(Error::invalid(
+                argument,
+                format!("expected images of {} pixels, got {}", self.size, frames.image_size()),
+            ));
+        }
+        if frames.pool.codes.ncols() != self.cell.scene_dim() {
+            return Err(Error::invalid(
+                argument,
+                format!(
+                    "expected scene codes of length {}, got {}",
+                    self.cell.scene_dim(),
+                    frames.pool.codes.ncols()
+                ),
+            ));
+        }
+        Ok(())
+    }
+
+    fn terms(&self, starts: &KeypointFrames, s: usize, goals: &KeypointFrames, g: usize) -> GoalTerms {
+        let mut residual: Vec<f32> = starts
+            .image(s)
+            .iter()
+            .zip(goals.image(g))
+            .map(|(&a, &b)| (f32::from(a) - f32::from(b)) / 255.0)
+            .collect();
+        self.sprite.draw(self.pixels(starts.keypoint(s)), -1.0, &mut residual, self.size);
+        self.sprite.goal_terms(&residual, self.size, self.gram.as_ref())
+    }
+
+    /// Rolls out the candidates `first..first + LANES` of `actions[D, H, A]` and hands the block
+    /// of keypoints after every step to `visit(step, keypoints)`.
+    fn roll(
+        &self,
+        keypoint: [f32; 2],
+        scene_bias: &[f32],
+        actions: ArrayView3<'_, f32>,
+        first: usize,
+        scratch: &mut Scratch,
+        mut visit: impl FnMut(usize, &[Lanes; 2]),
+    ) {
+        let last = actions.len_of(Axis(0)) - 1;
+        let mut block = keypoint.map(|x| [x; LANES]);
+        for step in 0..actions.len_of(Axis(1)) {
+            for (dimension, lanes) in scratch.action.iter_mut().enumerate() {
+                for (lane, value) in lanes.iter_mut().enumerate() {
+                    *value = actions[[(first + lane).min(last), step, dimension]];
+                }
+            }
+            self.cell.advance(scene_bias, &mut block, &scratch.action, &mut scratch.hidden);
+            visit(step, &block);
+        }
+    }
+
+    fn scratch(&self) -> Scratch {
+        Scratch { action: vec![[0.0; LANES]; self.actions.dim()], hidden: self.cell.scratch() }
+    }
+
+    /// Cost of one candidate's keypoint, per pixel.
+    fn cost(&self, block: &[Lanes; 2], lane: usize, terms: &GoalTerms) -> f32 {
+        let keypoint = self.pixels([block[0][lane], block[1][lane]]);
+        let sum = self.sprite.squared_distance(keypoint, terms, self.gram.as_ref());
+        sum.max(0.0) / (self.size * self.size) as f32
+    }
+
+    /// Keypoints `[D, H, 2]` (row, column in [-1, 1]) that the cell predicts from one frame for
+    /// `actions[D, H, A]`.
+    ///
+    /// # Errors
+    /// Not exactly one frame, or frames or actions of another model.
+    pub fn rollout(
+        &self,
+        start: &KeypointFrames,
+        actions: ArrayView3<'_, f32>,
+    ) -> Result<Array3<f32>> {
+        self.check("start", start)?;
+        check_actions(start.len(), 1, actions.len_of(Axis(2)), self.actions.dim())?;
+        let (candidates, steps, _) = actions.dim();
+        let scene_bias = self.cell.scene_bias(start.code(0));
+        let mut path = Array3::zeros((candidates, steps, 2));
+        path.axis_chunks_iter_mut(Axis(0), LANES).into_par_iter().enumerate().for_each_init(
+            || self.scratch(),
+            |scratch, (block, mut out)| {
+                self.roll(start.keypoint(0), &scene_bias, actions, block * LANES, scratch, |step, at| {
+                    for lane in 0..out.len_of(Axis(0)) {
+                        out[[lane, step, 0]] = at[0][lane];
+                        out[[lane, step, 1]] = at[1][lane];
+                    }
+                });
+            },
+        );
+        Ok(path)
+    }
+}
+
+struct Scratch {
+    action: Vec<Lanes>,
+    hidden: Vec<Lanes>,
+}
+
+fn check_actions(problems: usize, expected: usize, dim: usize, expected_dim: usize) -> Result<()> {
+    if problems != expected {
+        return Err(Error::invalid("actions", format!("expected {expected} problems, got {problems}")));
+    }
+    if dim != expected_dim {
+        return Err(Error::invalid(
+            "actions",
+            format!("expected {expected_dim} action dimensions, got {dim}"),
+        ));
+    }
+    Ok(())
+}
+
+impl WorldModel for KeypointWorld {
+    type Frames = KeypointFrames;
+
+    fn action_space(&self) -> &ActionSpace {
+        &self.actions
+    }
+
+    fn rollout_costs(
+        &self,
+        starts: &KeypointFrames,
+        goals: &KeypointFrames,
+        actions: Array4<f32>,
+    ) -> Result<Array2<f32>> {
+        self.check("starts", starts)?;
+        self.check("goals", goals)?;
+        let (problems, candidates, steps, dim) = actions.dim();
+        check_actions(problems, starts.len(), dim, self.actions.dim())?;
+        check_actions(problems, goals.len(), dim, self.actions.dim())?;
+        let mut costs = Array2::zeros((problems, candidates));
+        // Goal terms are as dear as a few dozen candidates, so blocks of one problem share them.
+        costs.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(b, mut row)| {
+            let terms = self.terms(starts, b, goals, b);
+            let scene_bias = self.cell.scene_bias(starts.code(b));
+            let mine = actions.index_axis(Axis(0), b);
+            row.axis_chunks_iter_mut(Axis(0), LANES).into_par_iter().enumerate().for_each_init(
+                || self.scratch(),
+                |scratch, (block, mut out)| {
+                    let mut tally = vec![self.over_horizon.start(); out.len()];
+                    let first = block * LANES;
+                    self.roll(starts.keypoint(b), &scene_bias, mine, first, scratch, |step, at| {
+                        if self.over_horizon.counts(step, steps) {
+                            for (lane, cost) in tally.iter_mut().enumerate() {
+                                *cost = self.over_horizon.add(*cost, self.cost(at, lane, &terms));
+                            }
+                        }
+                    });
+                    for (cost, sum) in out.iter_mut().zip(tally) {
+                        *cost = sum;
+                    }
+                },
+            );
+        });
+        Ok(costs)
+    }
+
+    fn shared_rollout_costs(
+        &self,
+        start: &KeypointFrames,
+        goals: &KeypointFrames,
+        actions: Array3<f32>,
+    ) -> Option<Result<Array2<f32>>> {
+        Some(self.shared_costs(start, goals, actions.view()))
+    }
+}
+
+impl KeypointWorld {
+    fn shared_costs(
+        &self,
+        start: &KeypointFrames,
+        goals: &KeypointFrames,
+        actions: ArrayView3<'_, f32>,
+    ) -> Result<Array2<f32>> {
+        self.check("goals", goals)?;
+        let path = self.rollout(start, actions)?;
+        let (candidates, steps, _) = path.dim();
+        let mut costs = Array2::zeros((goals.len(), candidates));
+        costs.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(g, mut row)| {
+            let terms = self.terms(start, 0, goals, g);
+            for (d, cost) in row.iter_mut().enumerate() {
+                let mut sum = self.over_horizon.start();
+                for step in (0..steps).filter(|&step| self.over_horizon.counts(step, steps)) {
+                    let at = [[path[[d, step, 0]]; LANES], [path[[d, step, 1]]; LANES]];
+                    sum = self.over_horizon.add(sum, self.cost(&at, 0, &terms));
+                }
+                *cost = sum;
+            }
+        });
+        Ok(costs)
+    }
+}
