@@ -272,7 +272,7 @@ impl Axis {
         // The edge with about half of the coverage on each side.
         let (mut before, mut split) = (0.0, 0);
         while split + 1 < near.len()
-            && (before + near[split] - 0.5 * total).abs() < (before - 0.5 * total).abs()
+            && (before + near[split] - 0.5 * total).abs() <= (before - 0.5 * total).abs()
         {
             before += near[split];
             split += 1;
