@@ -1,0 +1,1 @@
+"""Random interaction: collected, kept in HDF5, and sampled for training."""

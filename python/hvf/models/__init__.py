@@ -1,0 +1,1 @@
+"""Learned models: what they predict, and how their weights are kept."""

@@ -1,0 +1,265 @@
+"""Weights on disk: a safetensors file that says which model it holds and how it was trained.
+
+The header of the file carries, as JSON, the class of the model, its config, the environment that
+it was trained for and the training run. Nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save as serialise
+
+from hvf.atomic import write_bytes
+
+FORMAT = "hvf-model-1"
+
+
+class Configured(Protocol):
+    """A ``torch.nn.Module`` that is built from one frozen dataclass.
+
+    ``Model(config)`` must work, and ``config`` must hold only JSON's types, tuples and dataclasses.
+    """
+
+    config_type: ClassVar[type[Any]]
+
+    @property
+    def config(self) -> Any:
+        """The config that the model was built from."""
+        ...
+
+
+ModelT = TypeVar("ModelT", bound=torch.nn.Module)
+
+
+@dataclasses.dataclass(frozen=True)
+class Header:
+    """What a checkpoint says about itself.
+
+    Attributes:
+        model: class name of the model.
+        config: its config, as JSON.
+        environment: name of the environment it was trained for, such as ``maze``.
+        training: the run that made it: command, seed, steps, last validation.
+    """
+
+    model: str
+    config: Mapping[str, Any]
+    environment: str
+    training: Mapping[str, Any]
+
+
+def save_model(
+    path: str | Path,
+    model: torch.nn.Module,
+    *,
+    environment: str,
+    training: Mapping[str, Any] | None = None,
+) -> None:
+    """Write the weights of ``model`` to ``path``, whole or not at all.
+
+    Args:
+        path: file to write; an existing one is replaced.
+        model: a module with a ``config`` dataclass (:class:`Configured`).
+        environment: name of the environment the model is for.
+        training: anything JSON can hold about the run.
+
+    Raises:
+        TypeError: ``model`` has no config dataclass.
+        OSError: the file cannot be written; what was there stays.
+    """
+    header = {
+        "format": FORMAT,
+        "model": type(model).__name__,
+        "config": json.dumps(config_to_json(model), sort_keys=True),
+        "environment": environment,
+        "training": json.dumps(dict(training or {}), sort_keys=True),
+    }
+    write_tensors(path, model.state_dict(), header)
+
+
+def read_header(path: str | Path) -> Header:
+    """Read what a checkpoint says about itself, without its weights.
+
+    Raises:
+        FileNotFoundError: no file at ``path``.
+        ValueError: not a checkpoint of this program, or damaged; names ``path``.
+    """
+    return _header(path, read_metadata(path))
+
+
+def load_model(
+    path: str | Path,
+    model_class: type[ModelT],
+    *,
+    environment: str | None = None,
+    device: str | torch.device = "cpu",
+) -> ModelT:
+    """Build a ``model_class`` from the checkpoint at ``path``, in evaluation mode.
+
+    Args:
+        path: a file written by :func:`save_model`.
+        model_class: the class that the checkpoint must hold.
+        environment: if given, the environment that the checkpoint must be for.
+        device: where to put the weights.
+
+    Raises:
+        FileNotFoundError: no file at ``path``.
+        ValueError: damaged, not a checkpoint, another class or environment, or weights that do
+            not fit the config; names ``path`` and what was expected.
+    """
+    tensors, metadata = read_tensors(path)
+    header = _header(path, metadata)
+    if header.model != model_class.__name__:
+        raise ValueError(f"{path}: holds a {header.model}, expected a {model_class.__name__}")
+    if environment is not None and header.environment != environment:
+        raise ValueError(
+            f"{path}: was trained for environment {header.environment!r}, expected {environment!r}"
+        )
+    config_type: Any = getattr(model_class, "config_type", None)
+    try:
+        config = config_from_json(config_type, header.config)
+        model = model_class(config)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: config of {header.model} is not valid: {error}") from error
+    load_weights(path, model, tensors)
+    return model.to(device).eval()
+
+
+def load_weights(
+    path: str | Path, model: torch.nn.Module, tensors: Mapping[str, torch.Tensor]
+) -> None:
+    """Copy ``tensors`` into ``model``, all of them and in their shapes.
+
+    Raises:
+        ValueError: a tensor is missing, unknown, of another shape or not finite; names ``path``.
+    """
+    own = model.state_dict()
+    for name in own.keys() - tensors.keys():
+        raise ValueError(f"{path}: lacks the weights {name!r} of {type(model).__name__}")
+    for name, tensor in tensors.items():
+        if name not in own:
+            raise ValueError(f"{path}: holds {name!r}, which {type(model).__name__} does not have")
+        if tensor.shape != own[name].shape:
+            expected, found = tuple(own[name].shape), tuple(tensor.shape)
+            raise ValueError(f"{path}: {name} has shape {found}, expected {expected}")
+        if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+            raise ValueError(f"{path}: {name} holds NaN or infinite weights")
+    model.load_state_dict(dict(tensors))
+
+
+def write_tensors(
+    path: str | Path, tensors: Mapping[str, torch.Tensor], metadata: Mapping[str, str]
+) -> None:
+    """Write named tensors and metadata to a safetensors file, whole or not at all.
+
+    Raises:
+        OSError: the file cannot be written; what was there stays.
+    """
+    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    write_bytes(path, serialise(plain, dict(metadata)))
+
+
+def read_metadata(path: str | Path) -> dict[str, str]:
+    """Read the metadata of a safetensors file.
+
+    Raises:
+        FileNotFoundError: no file at ``path``.
+        ValueError: not a safetensors file, or truncated; names ``path``.
+    """
+    return _open(path, weights=False)[1]
+
+
+def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    """Read all tensors and the metadata of a safetensors file, on the CPU.
+
+    Raises:
+        FileNotFoundError: no file at ``path``.
+        ValueError: not a safetensors file, or truncated; names ``path``.
+    """
+    return _open(path, weights=True)
+
+
+def config_to_json(model: torch.nn.Module) -> dict[str, Any]:
+    """The config of ``model`` as JSON's types.
+
+    Raises:
+        TypeError: ``model.config`` is not a dataclass.
+    """
+    config = getattr(model, "config", None)
+    if not dataclasses.is_dataclass(config) or isinstance(config, type):
+        raise TypeError(f"model: {type(model).__name__} has no config dataclass")
+    parsed: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
+    return parsed
+
+
+def config_from_json(config_type: type[Any] | None, values: Mapping[str, Any]) -> Any:
+    """Build a dataclass, with its nested dataclasses and tuples, from JSON's types.
+
+    Raises:
+        TypeError: ``config_type`` is not a dataclass.
+        ValueError: an unknown or missing field, or a value that the dataclass refuses.
+    """
+    if not dataclasses.is_dataclass(config_type):
+        raise TypeError("config_type must be a dataclass")
+    hints = typing.get_type_hints(config_type)
+    names = {field.name for field in dataclasses.fields(config_type)}
+    for name in values.keys() - names:
+        raise ValueError(f"{config_type.__name__} has no field {name!r}")
+    for name in names - values.keys():
+        raise ValueError(f"field {name!r} of {config_type.__name__} is missing")
+    return config_type(**{name: _restore(hints[name], value) for name, value in values.items()})
+
+
+def _restore(hint: Any, value: Any) -> Any:
+    """``value`` as JSON gave it, in the type that the field's ``hint`` asks for."""
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        members = [member for member in typing.get_args(hint) if member is not type(None)]
+        return None if value is None or not members else _restore(members[0], value)
+    if dataclasses.is_dataclass(hint) and isinstance(value, dict):
+        return config_from_json(typing.cast(type[Any], hint), value)
+    if isinstance(value, list):
+        arguments = typing.get_args(hint)
+        return tuple(_restore(arguments[0] if arguments else Any, item) for item in value)
+    return value
+
+
+def _header(path: str | Path, metadata: Mapping[str, str]) -> Header:
+    if metadata.get("format") != FORMAT:
+        raise ValueError(
+            f"{path}: is not a model checkpoint of this program "
+            f"(format {metadata.get('format')!r}, expected {FORMAT!r})"
+        )
+    try:
+        header = Header(
+            model=metadata["model"],
+            config=json.loads(metadata["config"]),
+            environment=metadata["environment"],
+            training=json.loads(metadata["training"]),
+        )
+    except (KeyError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path}: damaged checkpoint header ({error!r})") from error
+    if not isinstance(header.config, dict) or not isinstance(header.training, dict):
+        raise ValueError(f"{path}: damaged checkpoint header")
+    return header
+
+
+def _open(path: str | Path, *, weights: bool) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such checkpoint")
+    try:
+        with safe_open(path, framework="pt", device="cpu") as file:
+            names = file.keys() if weights else []
+            tensors = {name: file.get_tensor(name) for name in names}
+            return tensors, dict(file.metadata() or {})
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path}: not a safetensors file, or truncated ({error})") from error

@@ -1,0 +1,441 @@
+"""The training loop, one for all models.
+
+A step is: draw the batch of that step, ask the model for its loss, follow the gradient. The batch
+and all noise are functions of (seed, step) alone, so a run that was killed and resumed from its
+last checkpoint does the same steps as one that was not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import FrameType
+from typing import Any, Literal, Protocol, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from hvf.models.checkpoint import config_to_json, save_model
+from hvf.training.pictures import write_png
+from hvf.training.state import TrainingState, load_state, save_state
+
+Batch = Mapping[str, torch.Tensor]
+
+
+class Sampler(Protocol):
+    """Where batches come from."""
+
+    def batch(self, step: int) -> Batch:
+        """The batch of training step ``step``: CPU tensors, a function of ``step`` alone.
+
+        Called from one background thread, one batch ahead.
+        """
+        ...
+
+
+class Trainable(Protocol):
+    """What the loop asks of a ``torch.nn.Module``."""
+
+    @property
+    def config(self) -> Any:
+        """The frozen dataclass the model was built from."""
+        ...
+
+    def loss(
+        self, batch: Batch, generator: torch.Generator, step: int
+    ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """Loss of one batch (scalar, with gradient) and scalars to report (without).
+
+        Args:
+            batch: what the sampler gave, on the model's device.
+            generator: the source of all noise in the loss, on the model's device, seeded by
+                (seed, step); the global generator must not be used.
+            step: number of the step, from 0, for schedules of weights.
+        """
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Validation:
+    """What a validation found.
+
+    Attributes:
+        metrics: name to value, for TensorBoard, the log and the checkpoint's header.
+        pictures: name to image, uint8 ``[height, width, 3]``.
+    """
+
+    metrics: Mapping[str, float]
+    pictures: Mapping[str, NDArray[np.uint8]] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class LoopConfig:
+    """How to optimise, how often to report, and where.
+
+    Attributes:
+        steps: gradient steps in all.
+        learning_rate: of Adam, at its highest.
+        schedule: of the learning rate after the warm-up: constant, or half a cosine down to 0.
+        warmup_steps: steps over which the learning rate rises linearly from 0.
+        weight_decay: decoupled (AdamW) if positive.
+        clip_norm: gradients are scaled down to this L2 norm; 0 for no limit.
+        seed: of the weights, the batches and the noise.
+        device: ``auto`` takes CUDA where there is one.
+        precision: ``auto`` is bfloat16 autocast on CUDA and float32 on the CPU.
+        channels_last: keep convolution weights in that memory order (faster on both).
+        threads: torch's CPU threads; 0 leaves them as they are.
+        log_every: steps between entries in TensorBoard.
+        validate_every: steps between validations; the last step always validates.
+        checkpoint_every: steps between checkpoints; the last step always writes one.
+    """
+
+    steps: int = 10_000
+    learning_rate: float = 1e-4
+    schedule: Literal["constant", "cosine"] = "constant"
+    warmup_steps: int = 0
+    weight_decay: float = 0.0
+    clip_norm: float = 0.0
+    seed: int = 0
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    channels_last: bool = True
+    threads: int = 0
+    log_every: int = 50
+    validate_every: int = 1_000
+    checkpoint_every: int = 500
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "log_every", "validate_every", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("warmup_steps", "weight_decay", "clip_norm", "seed", "threads"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
+            raise ValueError(f"learning_rate must be positive, got {self.learning_rate}")
+
+    def rate(self, step: int) -> float:
+        """The learning rate at ``step``."""
+        if step < self.warmup_steps:
+            return self.learning_rate * (step + 1) / self.warmup_steps
+        if self.schedule == "constant":
+            return self.learning_rate
+        done = (step - self.warmup_steps) / max(1, self.steps - self.warmup_steps)
+        return self.learning_rate * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
+
+    def torch_device(self) -> torch.device:
+        """The device to train on.
+
+        Raises:
+            ValueError: CUDA is asked for and not there.
+        """
+        if self.device == "cuda" and not torch.cuda.is_available():
+            raise ValueError("device: cuda was asked for, but torch finds no CUDA device")
+        if self.device == "auto":
+            return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        return torch.device(self.device)
+
+
+# May differ between the run that wrote a checkpoint and the one that resumes it: they change what
+# is reported and when, not what is computed.
+_FREE_ON_RESUME = ("device", "threads", "log_every", "validate_every", "checkpoint_every")
+
+ModelT = TypeVar("ModelT", bound=torch.nn.Module)
+
+
+def seeded(seed: int, build: Callable[[], ModelT]) -> ModelT:
+    """Call ``build`` with torch's global generator seeded, and put the generator back after."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return build()
+
+
+def train(
+    model: ModelT,
+    sampler: Sampler,
+    config: LoopConfig,
+    out: str | Path,
+    *,
+    environment: str,
+    run: Mapping[str, Any] | None = None,
+    validate: Callable[[ModelT, torch.Generator], Validation] | None = None,
+    console: Console | None = None,
+) -> ModelT:
+    """Train ``model``, or go on with the run that ``out`` holds.
+
+    ``out`` gets ``model.safetensors`` (weights and config, for use), ``training.safetensors`` (the
+    same with the optimiser, to resume), TensorBoard's events, and ``pictures/``. Ctrl-C or SIGTERM
+    finishes the step, writes both files and raises KeyboardInterrupt; the same call goes on.
+
+    Args:
+        model: a :class:`Trainable` module, freshly made with ``config.seed`` (:func:`seeded`).
+        sampler: where the batches come from.
+        config: how to train.
+        out: directory of the run.
+        environment: name of the environment the data comes from, kept in the checkpoint.
+        run: what else identifies the run (command, data), kept in the checkpoint; a run in ``out``
+            with another description is refused.
+        validate: measures the model on held-out data, in evaluation mode and without gradient;
+            its generator is seeded the same every time.
+        console: where progress goes.
+
+    Returns:
+        ``model``, trained, in evaluation mode.
+
+    Raises:
+        ValueError: ``out`` holds another run or a damaged one, or CUDA is missing.
+        RuntimeError: the loss is NaN or infinite.
+        OSError: a checkpoint cannot be written.
+        KeyboardInterrupt: stopped; ``out`` can be resumed.
+    """
+    console = console or Console()
+    out = Path(out)
+    device = config.torch_device()
+    identity = _identity(model, config, environment, run)
+    model = model.to(device)
+    if config.channels_last:
+        model = model.to(memory_format=torch.channels_last)
+    optimiser = torch.optim.AdamW(
+        [weights for weights in model.parameters() if weights.requires_grad],
+        lr=config.learning_rate,
+        weight_decay=config.weight_decay,
+        fused=True,
+    )
+    state = TrainingState(model, optimiser)
+    first = load_state(out / "training.safetensors", state, identity)
+    if first >= config.steps:
+        console.print(f"{out}: already trained for {first} steps")
+        return model.eval()
+    if first:
+        console.print(f"{out}: resuming at step {first}")
+
+    with (
+        _threads(config.threads),
+        _Interrupts() as interrupts,
+        _Reporter(out, config.steps, first, console) as report,
+        _Prefetch(sampler, first, config.steps) as batches,
+    ):
+        generator = torch.Generator(device)
+        metrics: dict[str, float] = {}
+        for step in range(first, config.steps):
+            loss, parts = _step(model, optimiser, batches.take(step), generator, config, step)
+            done = step + 1
+            stop = interrupts.asked and done < config.steps
+            last = stop or done == config.steps
+            if done % config.log_every == 0 or last or done == first + 1:
+                report.training(done, loss, {**parts, "learning_rate": config.rate(step)})
+            if validate and (done % config.validate_every == 0 or done == config.steps):
+                found = _validate(validate, model, config, device)
+                metrics = {name: float(value) for name, value in found.metrics.items()}
+                report.validation(done, found)
+            if done % config.checkpoint_every == 0 or last:
+                if not math.isfinite(loss.item()):
+                    raise RuntimeError(f"loss is {loss.item()} at step {step}; nothing was saved")
+                save_state(out / "training.safetensors", state, identity, done)
+                save_model(
+                    out / "model.safetensors",
+                    model,
+                    environment=environment,
+                    training={**identity["run"], "step": done, "validation": metrics},
+                )
+            if stop:
+                console.print(f"{out}: stopped at step {done}; the same command goes on from there")
+                raise KeyboardInterrupt
+    return model.eval()
+
+
+def step_seed(seed: int, step: int) -> int:
+    """Seed of the noise of one step: (seed, step) mixed to 63 bits."""
+    return int(np.random.SeedSequence([seed, step]).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def _step(
+    model: torch.nn.Module,
+    optimiser: torch.optim.Optimizer,
+    batch: Batch,
+    generator: torch.Generator,
+    config: LoopConfig,
+    step: int,
+) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    """One gradient step; its loss and metrics, detached."""
+    model.train()
+    device = generator.device
+    generator.manual_seed(step_seed(config.seed, step))
+    batch = {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
+    for group in optimiser.param_groups:
+        group["lr"] = config.rate(step)
+    optimiser.zero_grad(set_to_none=True)
+    with _autocast(config, device):
+        loss, parts = model.loss(batch, generator, step)  # type: ignore[operator]
+    loss.backward()
+    if config.clip_norm > 0:
+        parts["gradient_norm"] = torch.nn.utils.clip_grad_norm_(
+            model.parameters(), config.clip_norm
+        )
+    optimiser.step()
+    return loss.detach(), parts
+
+
+def _validate(
+    validate: Callable[[Any, torch.Generator], Validation],
+    model: torch.nn.Module,
+    config: LoopConfig,
+    device: torch.device,
+) -> Validation:
+    generator = torch.Generator(device).manual_seed(step_seed(config.seed, config.steps))
+    model.eval()
+    with torch.inference_mode(), _autocast(config, device):
+        return validate(model, generator)
+
+
+def _autocast(config: LoopConfig, device: torch.device) -> torch.autocast:
+    wanted = config.precision == "bfloat16" or (
+        config.precision == "auto" and device.type == "cuda"
+    )
+    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=wanted)
+
+
+def _identity(
+    model: torch.nn.Module, config: LoopConfig, environment: str, run: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """What must be equal for a run to be the continuation of another."""
+    fixed = {
+        name: value
+        for name, value in dataclasses.asdict(config).items()
+        if name not in _FREE_ON_RESUME
+    }
+    identity = {
+        "model": type(model).__name__,
+        "config": config_to_json(model),
+        "environment": environment,
+        "run": {**(run or {}), "loop": fixed},
+    }
+    parsed: dict[str, Any] = json.loads(json.dumps(identity))
+    return parsed
+
+
+@contextlib.contextmanager
+def _threads(count: int) -> Iterator[None]:
+    before = torch.get_num_threads()
+    if count:
+        torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+class _Interrupts:
+    """Notes the first Ctrl-C or SIGTERM in ``asked``; the second one interrupts at once."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> _Interrupts:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, _number: int, _frame: FrameType | None) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+
+
+class _Prefetch:
+    """Draws the next batch in a thread while the model works on this one."""
+
+    def __init__(self, sampler: Sampler, first: int, steps: int) -> None:
+        self._sampler = sampler
+        self._steps = steps
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="batches")
+        self._next: Future[Batch] = self._pool.submit(sampler.batch, first)
+
+    def __enter__(self) -> _Prefetch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def take(self, step: int) -> Batch:
+        batch = self._next.result()
+        if step + 1 < self._steps:
+            self._next = self._pool.submit(self._sampler.batch, step + 1)
+        return batch
+
+
+class _Reporter:
+    """The progress bar, TensorBoard, the pictures, and one line of text per validation."""
+
+    def __init__(self, out: Path, steps: int, first: int, console: Console) -> None:
+        from torch.utils.tensorboard import SummaryWriter  # a second to import
+
+        self._out = out
+        self._steps = steps
+        self._first = first
+        self._began = time.monotonic()
+        self._console = console
+        self._writer = SummaryWriter(os.fspath(out), purge_step=first + 1 if first else None)
+        self._progress = Progress(
+            TextColumn("training"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("loss {task.fields[loss]}"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not console.is_terminal,
+        )
+        self._task = self._progress.add_task("training", total=steps, completed=first, loss="")
+
+    def __enter__(self) -> _Reporter:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+        self._writer.close()
+
+    def training(self, step: int, loss: torch.Tensor, parts: Mapping[str, Any]) -> None:
+        self._progress.update(self._task, completed=step, loss=f"{float(loss):.5g}")
+        self._scalars("train", step, {"loss": loss, **parts})
+
+    def validation(self, step: int, found: Validation) -> None:
+        self._scalars("validation", step, found.metrics)
+        for name, image in found.pictures.items():
+            write_png(self._out / "pictures" / f"{name}_{step:07d}.png", image)
+            self._writer.add_image(name, image, step, dataformats="HWC")
+        spent = time.monotonic() - self._began
+        left = spent / (step - self._first) * (self._steps - step)
+        numbers = "  ".join(f"{name} {float(value):.4g}" for name, value in found.metrics.items())
+        self._console.print(f"step {step}/{self._steps}  {numbers}  ({left / 60:.1f} min left)")
+
+    def _scalars(self, group: str, step: int, values: Mapping[str, Any]) -> None:
+        for name, value in values.items():
+            self._writer.add_scalar(f"{group}/{name}", float(value), step)

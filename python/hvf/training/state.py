@@ -1,0 +1,102 @@
+"""What a run needs to go on after it was stopped: weights, optimiser and step, in safetensors.
+
+Batches and noise are functions of (seed, step), so there is no generator to keep.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from hvf.models.checkpoint import load_weights, read_tensors, write_tensors
+
+FORMAT = "hvf-training-1"
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingState:
+    """A model and the optimiser that moves it."""
+
+    model: torch.nn.Module
+    optimiser: torch.optim.Optimizer
+
+
+def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any], step: int) -> None:
+    """Write weights, optimiser and step to ``path``, whole or not at all.
+
+    Args:
+        path: file to write.
+        state: what to keep.
+        identity: what a continuation must agree on, as JSON's types.
+        step: steps done.
+
+    Raises:
+        OSError: the file cannot be written; what was there stays.
+    """
+    tensors = {f"model.{name}": tensor for name, tensor in state.model.state_dict().items()}
+    for name, weights in state.model.named_parameters():
+        for key, value in state.optimiser.state.get(weights, {}).items():
+            tensors[f"optimiser.{key}.{name}"] = torch.as_tensor(value)
+    header = {"format": FORMAT, "identity": json.dumps(identity), "step": str(step)}
+    write_tensors(path, tensors, header)
+
+
+def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> int:
+    """Restore ``state`` from ``path`` and return the steps done; 0 if there is no such file.
+
+    Raises:
+        ValueError: the file is damaged, or belongs to a run that differs in ``identity``; names
+            ``path`` and what differs.
+    """
+    if not path.exists():
+        return 0
+    tensors, metadata = read_tensors(path)
+    try:
+        if metadata["format"] != FORMAT:
+            raise ValueError(f"format {metadata['format']!r}, expected {FORMAT!r}")
+        step = int(metadata["step"])
+        found: dict[str, Any] = json.loads(metadata["identity"])
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{path}: is not a training state of this program ({error})") from error
+    difference = _difference(found, identity)
+    if difference:
+        raise ValueError(
+            f"{path}: belongs to another run ({difference}); choose another out, or remove it"
+        )
+    _restore(path, state, tensors)
+    return step
+
+
+def _restore(path: Path, state: TrainingState, tensors: Mapping[str, torch.Tensor]) -> None:
+    weights = {name[6:]: value for name, value in tensors.items() if name.startswith("model.")}
+    load_weights(path, state.model, weights)
+    for name, parameter in state.model.named_parameters():
+        kept: dict[str, torch.Tensor] = {}
+        for key in ("step", "exp_avg", "exp_avg_sq"):
+            value = tensors.get(f"optimiser.{key}.{name}")
+            if value is None:
+                continue
+            if value.shape == parameter.shape and key != "step":
+                kept[key] = torch.empty_like(parameter, requires_grad=False).copy_(value)
+            elif key == "step" and value.ndim == 0:
+                kept[key] = value.to(parameter.device)
+            else:
+                raise ValueError(f"{path}: the optimiser's {key} of {name} has another shape")
+        if kept:
+            state.optimiser.state[parameter] = kept
+
+
+def _difference(found: Any, wanted: Any, name: str = "") -> str:
+    """The first place where two trees of JSON's types differ, in words; empty if none."""
+    if isinstance(found, dict) and isinstance(wanted, dict):
+        for key in sorted(found.keys() | wanted.keys()):
+            inner = _difference(found.get(key), wanted.get(key), f"{name}.{key}" if name else key)
+            if inner:
+                return inner
+        return ""
+    return "" if found == wanted else f"{name} is {found!r} there, {wanted!r} here"
