@@ -4,6 +4,7 @@
 mod error;
 mod keypoint;
 mod maze;
+mod planner;
 
 use pyo3::prelude::*;
 
@@ -13,5 +14,6 @@ fn hvf_core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     keypoint::register(module)?;
     maze::register(module)?;
+    planner::register(module)?;
     Ok(())
 }

@@ -225,7 +225,9 @@ fn check_costs<O: Objective>(
     for (row, state) in costs.outer_iter().zip(states) {
         if state.kept_costs.is_empty() && row.iter().all(|cost| cost.is_nan()) {
             let problem = objective.describe(state.number);
-            return Err(Error::Model(format!("every cost of {problem} is NaN")));
+            return Err(Error::Model(format!(
+                "every cost of {problem} is NaN, expected at least one number"
+            )));
         }
     }
     Ok(())

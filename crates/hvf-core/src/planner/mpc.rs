@@ -340,6 +340,6 @@ impl<W: WorldModel> Objective for Rollouts<'_, '_, W> {
     }
 
     fn describe(&self, problem: usize) -> String {
-        (self.problems.describe)(problem)
+        format!("rollout_costs for {}", (self.problems.describe)(problem))
     }
 }

@@ -59,6 +59,17 @@ impl Default for HvfConfig {
     }
 }
 
+impl HvfConfig {
+    /// Checks the ranges of all fields that do not depend on the models.
+    ///
+    /// # Errors
+    /// Names the field that is out of range.
+    pub fn validate(&self) -> Result<()> {
+        self.cem.validate()?;
+        self.mpc.validate()
+    }
+}
+
 /// How the search stood after one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchStats {
@@ -103,7 +114,7 @@ where
     W: WorldModel,
     G: SubgoalModel<W::Frames>,
 {
-    config.cem.validate()?;
+    config.validate()?;
     for (argument, frames) in [("start", start), ("goal", goal)] {
         if frames.len() != 1 {
             return Err(Error::invalid(

@@ -1,0 +1,234 @@
+//! `HVF`, the search for subgoal images, for Python.
+
+use hvf_core_rs::planner::{search, CemConfig, Frames, HvfConfig, MpcConfig, Reduction};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+use super::arguments::{seeds, Whole};
+use super::border::{with_border, Border, FramesOf, Generator};
+use super::results::{PyPlans, PySearchResult};
+use super::signals;
+use super::visual_mpc::{keywords, one_frame, PyVisualMpc};
+use crate::error::to_py;
+
+/// The search for subgoal images.
+#[pyclass(name = "HVF", module = "hvf_core", frozen, eq)]
+#[derive(Clone, PartialEq)]
+pub struct PyHvf {
+    config: HvfConfig,
+}
+
+#[pymethods]
+impl PyHvf {
+    #[new]
+    #[pyo3(
+        signature = (
+            *, mpc=None, subgoals=Whole(2), samples=Whole(200), elites=Whole(40),
+            iterations=Whole(5), min_variance=1e-3, reduction="max", keep_elites=Whole(0),
+            prune=true, share_rollouts=true
+        ),
+        text_signature = "(*, mpc=None, subgoals=2, samples=200, elites=40, iterations=5, \
+                          min_variance=0.001, reduction='max', keep_elites=0, prune=True, \
+                          share_rollouts=True)"
+    )]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        mpc: Option<&Bound<'_, PyVisualMpc>>,
+        subgoals: Whole,
+        samples: Whole,
+        elites: Whole,
+        iterations: Whole,
+        min_variance: f32,
+        reduction: &str,
+        keep_elites: Whole,
+        prune: bool,
+        share_rollouts: bool,
+    ) -> PyResult<Self> {
+        let reduction = match reduction {
+            "max" => Reduction::Max,
+            "mean" => Reduction::Mean,
+            other => {
+                return Err(PyValueError::new_err(format!(
+                    "reduction: must be 'max' or 'mean', got '{other}'"
+                )))
+            }
+        };
+        let config = HvfConfig {
+            mpc: mpc.map_or_else(MpcConfig::default, |mpc| mpc.get().config.clone()),
+            subgoals: subgoals.count("subgoals")?,
+            cem: CemConfig {
+                samples: samples.count("samples")?,
+                elites: elites.count("elites")?,
+                iterations: iterations.count("iterations")?,
+                min_variance,
+                keep_elites: keep_elites.count("keep_elites")?,
+            },
+            reduction,
+            prune,
+            share_rollouts,
+        };
+        config.validate().map_err(to_py)?;
+        Ok(Self { config })
+    }
+
+    #[pyo3(
+        signature = (model, generator, start, goal, seed=Whole(0)),
+        text_signature = "($self, model, generator, start, goal, seed=0)"
+    )]
+    fn search(
+        &self,
+        model: &Bound<'_, PyAny>,
+        generator: &Bound<'_, PyAny>,
+        start: &Bound<'_, PyAny>,
+        goal: &Bound<'_, PyAny>,
+        seed: Whole,
+    ) -> PyResult<PySearchResult> {
+        let seed = seed.seed("seed")?;
+        with_border!(model, |border| {
+            let start = one_frame(&border, "start", start)?;
+            let goal = one_frame(&border, "goal", goal)?;
+            let generator = Generator::new(generator, &border, self.config.subgoals)?;
+            self.solve(model.py(), &border, &generator, &start, &goal, seed)
+        })
+    }
+
+    #[pyo3(signature = (model, generator, starts, goals, seeds=None))]
+    fn search_batch(
+        &self,
+        model: &Bound<'_, PyAny>,
+        generator: &Bound<'_, PyAny>,
+        starts: &Bound<'_, PyAny>,
+        goals: &Bound<'_, PyAny>,
+        seeds: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Vec<PySearchResult>> {
+        with_border!(model, |border| {
+            let starts = border.read("starts", starts)?;
+            let goals = border.read("goals", goals)?;
+            let count = goals.len();
+            if starts.len() != count && starts.len() != 1 {
+                return Err(PyValueError::new_err(format!(
+                    "starts: must hold one frame or as many as goals ({count}), got {}",
+                    starts.len()
+                )));
+            }
+            let seeds = self::seeds(seeds, count)?;
+            let generator = Generator::new(generator, &border, self.config.subgoals)?;
+            seeds
+                .into_iter()
+                .enumerate()
+                .map(|(episode, seed)| {
+                    let start = frame_of(&starts, episode)?;
+                    let goal = frame_of(&goals, episode)?;
+                    self.solve(model.py(), &border, &generator, &start, &goal, seed)
+                })
+                .collect()
+        })
+    }
+
+    #[getter]
+    fn mpc(&self) -> PyVisualMpc {
+        PyVisualMpc { config: self.config.mpc.clone() }
+    }
+    #[getter]
+    fn subgoals(&self) -> usize {
+        self.config.subgoals
+    }
+    #[getter]
+    fn samples(&self) -> usize {
+        self.config.cem.samples
+    }
+    #[getter]
+    fn elites(&self) -> usize {
+        self.config.cem.elites
+    }
+    #[getter]
+    fn iterations(&self) -> usize {
+        self.config.cem.iterations
+    }
+    #[getter]
+    fn min_variance(&self) -> f32 {
+        self.config.cem.min_variance
+    }
+    #[getter]
+    fn reduction(&self) -> &'static str {
+        match self.config.reduction {
+            Reduction::Max => "max",
+            Reduction::Mean => "mean",
+        }
+    }
+    #[getter]
+    fn keep_elites(&self) -> usize {
+        self.config.cem.keep_elites
+    }
+    #[getter]
+    fn prune(&self) -> bool {
+        self.config.prune
+    }
+    #[getter]
+    fn share_rollouts(&self) -> bool {
+        self.config.share_rollouts
+    }
+
+    /// The arguments that make an equal object, for copies and pickles.
+    fn __getnewargs_ex__<'py>(
+        slf: &Bound<'py, Self>,
+    ) -> PyResult<(Bound<'py, PyTuple>, Bound<'py, PyDict>)> {
+        let arguments = PyDict::new(slf.py());
+        for name in [
+            "mpc",
+            "subgoals",
+            "samples",
+            "elites",
+            "iterations",
+            "min_variance",
+            "reduction",
+            "keep_elites",
+            "prune",
+            "share_rollouts",
+        ] {
+            arguments.set_item(name, slf.getattr(name)?)?;
+        }
+        Ok((PyTuple::empty(slf.py()), arguments))
+    }
+
+    fn __repr__(slf: &Bound<'_, Self>) -> PyResult<String> {
+        let (_, arguments) = Self::__getnewargs_ex__(slf)?;
+        Ok(format!("HVF({})", keywords(&arguments)?))
+    }
+}
+
+/// The frame of one episode; a single frame stands for all.
+fn frame_of<F: Frames>(frames: &F, episode: usize) -> PyResult<F> {
+    let place = if frames.len() == 1 { 0 } else { episode };
+    frames.select(&[place]).map_err(to_py)
+}
+
+impl PyHvf {
+    /// Searches without the GIL; the models take it where they need it.
+    fn solve<B: Border>(
+        &self,
+        py: Python<'_>,
+        border: &B,
+        generator: &Generator<'_, B>,
+        start: &FramesOf<B>,
+        goal: &FramesOf<B>,
+        seed: u64,
+    ) -> PyResult<PySearchResult>
+    where
+        FramesOf<B>: Sync,
+    {
+        let found = py
+            .detach(|| {
+                search(&self.config, border.world(), generator, start, goal, seed, &signals())
+            })
+            .map_err(|error| border.error(py, error))?;
+        Ok(PySearchResult {
+            subgoals: border.write(py, found.subgoals)?.unbind(),
+            cost: found.cost,
+            plans: Py::new(py, PyPlans { inner: found.plans })?,
+            latents: found.latents,
+            history: found.history,
+        })
+    }
+}

@@ -1,0 +1,193 @@
+//! What the planners return.
+
+use hvf_core_rs::planner::{IterationStats, Plan, SearchStats};
+use ndarray::{stack, Array1, Array2, Array3, Axis};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
+use pyo3::exceptions::PyIndexError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// One figure of an iteration, by name.
+type Figure = (&'static str, fn(&IterationStats) -> f32);
+
+/// The figures of an iteration, in the order of their columns.
+const FIGURES: [Figure; 5] = [
+    ("best", |stats| stats.best),
+    ("elite_mean", |stats| stats.elite_mean),
+    ("elite_worst", |stats| stats.elite_worst),
+    ("population_mean", |stats| stats.population_mean),
+    ("max_std", |stats| stats.max_std),
+];
+
+/// The best actions found for one problem.
+#[pyclass(name = "Plan", module = "hvf_core", frozen)]
+pub struct PyPlan {
+    /// The plan.
+    pub inner: Plan,
+}
+
+#[pymethods]
+impl PyPlan {
+    #[getter]
+    fn actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        self.inner.actions.clone().into_pyarray(py)
+    }
+
+    #[getter]
+    fn cost(&self) -> f32 {
+        self.inner.cost
+    }
+
+    #[getter]
+    fn iterations(&self) -> usize {
+        self.inner.history.len()
+    }
+
+    #[getter]
+    fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let columns = PyDict::new(py);
+        for (name, figure) in FIGURES {
+            let column: Vec<f32> = self.inner.history.iter().map(figure).collect();
+            columns.set_item(name, column.into_pyarray(py))?;
+        }
+        Ok(columns)
+    }
+
+    fn __repr__(&self) -> String {
+        let (horizon, dim) = self.inner.actions.dim();
+        format!(
+            "Plan(cost={}, actions=float32[{horizon}, {dim}], iterations={})",
+            self.inner.cost,
+            self.inner.history.len()
+        )
+    }
+}
+
+/// The best actions found for every problem of a batch.
+#[pyclass(name = "Plans", module = "hvf_core", frozen)]
+pub struct PyPlans {
+    /// The plans, at least one.
+    pub inner: Vec<Plan>,
+}
+
+impl PyPlans {
+    /// Actions of all plans, `[B, H, A]`.
+    pub fn stacked_actions(&self) -> Array3<f32> {
+        let views: Vec<_> = self.inner.iter().map(|plan| plan.actions.view()).collect();
+        stack(Axis(0), &views).expect("plans of one batch have one shape")
+    }
+}
+
+#[pymethods]
+impl PyPlans {
+    #[getter]
+    fn actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f32>> {
+        self.stacked_actions().into_pyarray(py)
+    }
+
+    #[getter]
+    fn costs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        let costs: Array1<f32> = self.inner.iter().map(|plan| plan.cost).collect();
+        costs.into_pyarray(py)
+    }
+
+    #[getter]
+    fn iterations<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        let runs: Array1<i64> = self.inner.iter().map(|plan| plan.history.len() as i64).collect();
+        runs.into_pyarray(py)
+    }
+
+    #[getter]
+    fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let longest = self.inner.iter().map(|plan| plan.history.len()).max().unwrap_or(0);
+        let columns = PyDict::new(py);
+        for (name, figure) in FIGURES {
+            let table = Array2::from_shape_fn((self.inner.len(), longest), |(plan, iteration)| {
+                self.inner[plan].history.get(iteration).map_or(f32::NAN, figure)
+            });
+            columns.set_item(name, table.into_pyarray(py))?;
+        }
+        Ok(columns)
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.len()
+    }
+
+    fn __getitem__(&self, index: isize) -> PyResult<PyPlan> {
+        let count = self.inner.len();
+        let place = if index < 0 { index + count as isize } else { index };
+        usize::try_from(place)
+            .ok()
+            .and_then(|place| self.inner.get(place))
+            .map(|plan| PyPlan { inner: plan.clone() })
+            .ok_or_else(|| PyIndexError::new_err(format!("plan {index} of {count}")))
+    }
+
+    fn __repr__(&self) -> String {
+        let (horizon, dim) = self.inner.first().map_or((0, 0), |plan| plan.actions.dim());
+        let count = self.inner.len();
+        format!("Plans({count} plans, actions=float32[{count}, {horizon}, {dim}])")
+    }
+}
+
+/// What the subgoal search found.
+#[pyclass(name = "SearchResult", module = "hvf_core", frozen)]
+pub struct PySearchResult {
+    /// Subgoals in the frames of the world model.
+    #[pyo3(get)]
+    pub subgoals: Py<PyAny>,
+    /// Cost of the segments together.
+    #[pyo3(get)]
+    pub cost: f32,
+    /// Best plan of every segment.
+    #[pyo3(get)]
+    pub plans: Py<PyPlans>,
+    /// Latents of the subgoals, `[K, L]`.
+    pub latents: Array2<f32>,
+    /// Figures of every iteration.
+    pub history: Vec<SearchStats>,
+}
+
+#[pymethods]
+impl PySearchResult {
+    #[getter]
+    fn latents<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        self.latents.clone().into_pyarray(py)
+    }
+
+    #[getter]
+    fn segment_costs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        self.plans.get().costs(py)
+    }
+
+    #[getter]
+    fn iterations(&self) -> usize {
+        self.history.len()
+    }
+
+    #[getter]
+    fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let columns = PyDict::new(py);
+        for (name, figure) in FIGURES {
+            let column: Vec<f32> = self.history.iter().map(|stats| figure(&stats.costs)).collect();
+            columns.set_item(name, column.into_pyarray(py))?;
+        }
+        let counted = |count: fn(&SearchStats) -> usize| -> Bound<'py, PyArray1<i64>> {
+            let column: Vec<i64> = self.history.iter().map(|stats| count(stats) as i64).collect();
+            column.into_pyarray(py)
+        };
+        columns.set_item("evaluated", counted(|stats| stats.evaluated))?;
+        columns.set_item("skipped", counted(|stats| stats.skipped))?;
+        Ok(columns)
+    }
+
+    fn __repr__(&self) -> String {
+        let costs: Vec<f32> = self.plans.get().inner.iter().map(|plan| plan.cost).collect();
+        format!(
+            "SearchResult(cost={}, segment_costs={costs:?}, iterations={})",
+            self.cost,
+            self.history.len()
+        )
+    }
+}

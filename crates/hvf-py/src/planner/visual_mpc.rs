@@ -1,0 +1,286 @@
+//! `VisualMPC` for Python.
+
+use hvf_core_rs::planner::mpc::plan;
+use hvf_core_rs::planner::sampler::{Purpose, Stream};
+use hvf_core_rs::planner::{ActionInitial, CemConfig, Frames, MpcConfig, Plan, Problems};
+use ndarray::Array3;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+use super::arguments::{one_warm_start, seeds, warm_starts, Whole};
+use super::border::{with_border, Border, FramesOf};
+use super::results::{PyPlan, PyPlans};
+use super::signals;
+use crate::error::to_py;
+
+/// Visual model-predictive control.
+#[pyclass(name = "VisualMPC", module = "hvf_core", frozen, eq)]
+#[derive(Clone, PartialEq)]
+pub struct PyVisualMpc {
+    /// The settings, validated.
+    pub config: MpcConfig,
+}
+
+#[pymethods]
+impl PyVisualMpc {
+    #[new]
+    #[pyo3(
+        signature = (
+            *, horizon=Whole(5), samples=Whole(200), elites=Whole(40), iterations=Whole(5),
+            min_variance=1e-3, action_repeat=Whole(1), initial="uniform", initial_low=None,
+            initial_high=None, initial_mean=0.0, initial_std=1.0, keep_elites=Whole(0),
+            warm_start_std=1.0
+        ),
+        text_signature = "(*, horizon=5, samples=200, elites=40, iterations=5, \
+                          min_variance=0.001, action_repeat=1, initial='uniform', \
+                          initial_low=None, initial_high=None, initial_mean=0.0, \
+                          initial_std=1.0, keep_elites=0, warm_start_std=1.0)"
+    )]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        horizon: Whole,
+        samples: Whole,
+        elites: Whole,
+        iterations: Whole,
+        min_variance: f32,
+        action_repeat: Whole,
+        initial: &str,
+        initial_low: Option<Vec<f32>>,
+        initial_high: Option<Vec<f32>>,
+        initial_mean: f32,
+        initial_std: f32,
+        keep_elites: Whole,
+        warm_start_std: f32,
+    ) -> PyResult<Self> {
+        let initial = match initial {
+            "uniform" => ActionInitial::Uniform { low: initial_low, high: initial_high },
+            "normal" => match (initial_low, initial_high) {
+                (None, None) => ActionInitial::Normal { mean: initial_mean, std: initial_std },
+                _ => {
+                    return Err(PyValueError::new_err(
+                        "initial_low: belongs to initial='uniform', got initial='normal'",
+                    ))
+                }
+            },
+            other => {
+                return Err(PyValueError::new_err(format!(
+                    "initial: must be 'uniform' or 'normal', got '{other}'"
+                )))
+            }
+        };
+        let config = MpcConfig {
+            horizon: horizon.count("horizon")?,
+            action_repeat: action_repeat.count("action_repeat")?,
+            initial,
+            warm_start_std,
+            cem: CemConfig {
+                samples: samples.count("samples")?,
+                elites: elites.count("elites")?,
+                iterations: iterations.count("iterations")?,
+                min_variance,
+                keep_elites: keep_elites.count("keep_elites")?,
+            },
+        };
+        config.validate().map_err(to_py)?;
+        Ok(Self { config })
+    }
+
+    #[pyo3(
+        signature = (model, start, goal, seed=Whole(0), warm_start=None),
+        text_signature = "($self, model, start, goal, seed=0, warm_start=None)"
+    )]
+    fn plan(
+        &self,
+        model: &Bound<'_, PyAny>,
+        start: &Bound<'_, PyAny>,
+        goal: &Bound<'_, PyAny>,
+        seed: Whole,
+        warm_start: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<PyPlan> {
+        let seed = seed.seed("seed")?;
+        let warm_start = one_warm_start(warm_start)?;
+        let plans = with_border!(model, |border| {
+            let start = one_frame(&border, "start", start)?;
+            let goal = one_frame(&border, "goal", goal)?;
+            self.solve(model.py(), &border, &start, &goal, &[seed], warm_start)
+        })?;
+        let inner = plans.into_iter().next().expect("one problem, one plan");
+        Ok(PyPlan { inner })
+    }
+
+    #[pyo3(signature = (model, starts, goals, seeds=None, warm_start=None))]
+    fn plan_batch(
+        &self,
+        model: &Bound<'_, PyAny>,
+        starts: &Bound<'_, PyAny>,
+        goals: &Bound<'_, PyAny>,
+        seeds: Option<&Bound<'_, PyAny>>,
+        warm_start: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<PyPlans> {
+        let warm_start = warm_starts(warm_start)?;
+        let inner = with_border!(model, |border| {
+            let starts = border.read("starts", starts)?;
+            let goals = border.read("goals", goals)?;
+            let seeds = self::seeds(seeds, goals.len())?;
+            self.solve(model.py(), &border, &starts, &goals, &seeds, warm_start)
+        })?;
+        Ok(PyPlans { inner })
+    }
+
+    #[getter]
+    fn horizon(&self) -> usize {
+        self.config.horizon
+    }
+    #[getter]
+    fn samples(&self) -> usize {
+        self.config.cem.samples
+    }
+    #[getter]
+    fn elites(&self) -> usize {
+        self.config.cem.elites
+    }
+    #[getter]
+    fn iterations(&self) -> usize {
+        self.config.cem.iterations
+    }
+    #[getter]
+    fn min_variance(&self) -> f32 {
+        self.config.cem.min_variance
+    }
+    #[getter]
+    fn action_repeat(&self) -> usize {
+        self.config.action_repeat
+    }
+    #[getter]
+    fn keep_elites(&self) -> usize {
+        self.config.cem.keep_elites
+    }
+    #[getter]
+    fn warm_start_std(&self) -> f32 {
+        self.config.warm_start_std
+    }
+    #[getter]
+    fn initial(&self) -> &'static str {
+        match self.config.initial {
+            ActionInitial::Uniform { .. } => "uniform",
+            ActionInitial::Normal { .. } => "normal",
+        }
+    }
+    #[getter]
+    fn initial_low(&self) -> Option<Vec<f32>> {
+        match &self.config.initial {
+            ActionInitial::Uniform { low, .. } => low.clone(),
+            ActionInitial::Normal { .. } => None,
+        }
+    }
+    #[getter]
+    fn initial_high(&self) -> Option<Vec<f32>> {
+        match &self.config.initial {
+            ActionInitial::Uniform { high, .. } => high.clone(),
+            ActionInitial::Normal { .. } => None,
+        }
+    }
+    #[getter]
+    fn initial_mean(&self) -> f32 {
+        match self.config.initial {
+            ActionInitial::Uniform { .. } => 0.0,
+            ActionInitial::Normal { mean, .. } => mean,
+        }
+    }
+    #[getter]
+    fn initial_std(&self) -> f32 {
+        match self.config.initial {
+            ActionInitial::Uniform { .. } => 1.0,
+            ActionInitial::Normal { std, .. } => std,
+        }
+    }
+
+    /// The arguments that make an equal object, for copies and pickles.
+    fn __getnewargs_ex__<'py>(
+        slf: &Bound<'py, Self>,
+    ) -> PyResult<(Bound<'py, PyTuple>, Bound<'py, PyDict>)> {
+        let arguments = PyDict::new(slf.py());
+        for name in [
+            "horizon",
+            "samples",
+            "elites",
+            "iterations",
+            "min_variance",
+            "action_repeat",
+            "initial",
+            "initial_low",
+            "initial_high",
+            "initial_mean",
+            "initial_std",
+            "keep_elites",
+            "warm_start_std",
+        ] {
+            arguments.set_item(name, slf.getattr(name)?)?;
+        }
+        Ok((PyTuple::empty(slf.py()), arguments))
+    }
+
+    fn __repr__(slf: &Bound<'_, Self>) -> PyResult<String> {
+        let (_, arguments) = Self::__getnewargs_ex__(slf)?;
+        Ok(format!("VisualMPC({})", keywords(&arguments)?))
+    }
+}
+
+impl PyVisualMpc {
+    /// Plans without the GIL; the model takes it where it needs it.
+    fn solve<B: Border>(
+        &self,
+        py: Python<'_>,
+        border: &B,
+        starts: &FramesOf<B>,
+        goals: &FramesOf<B>,
+        seeds: &[u64],
+        warm_start: Option<Array3<f32>>,
+    ) -> PyResult<Vec<Plan>>
+    where
+        FramesOf<B>: Sync,
+    {
+        let streams: Vec<Stream> = seeds
+            .iter()
+            .map(|&seed| Stream { seed, purpose: Purpose::Actions, problem: 0 })
+            .collect();
+        let solved = py.detach(|| {
+            let problems = Problems {
+                starts,
+                goals,
+                streams: &streams,
+                warm_start: warm_start.as_ref().map(|plans| plans.view()),
+                share_rollouts: true,
+                describe: &|problem| format!("problem {problem}"),
+            };
+            plan(&self.config, border.world(), &problems, &signals())
+        });
+        solved.map_err(|error| border.error(py, error))
+    }
+}
+
+/// One frame, named in the error if it is more or fewer.
+pub fn one_frame<B: Border>(
+    border: &B,
+    argument: &str,
+    object: &Bound<'_, PyAny>,
+) -> PyResult<FramesOf<B>> {
+    let frames = border.read(argument, object)?;
+    match frames.len() {
+        1 => Ok(frames),
+        count => Err(PyValueError::new_err(format!(
+            "{argument}: must be one uint8 image [H, W, 3] or one frame of the model, got {count} \
+             frames"
+        ))),
+    }
+}
+
+/// `name=value, ..` of a dictionary.
+pub fn keywords(arguments: &Bound<'_, PyDict>) -> PyResult<String> {
+    let parts: Vec<String> = arguments
+        .iter()
+        .map(|(name, value)| Ok(format!("{name}={}", value.repr()?)))
+        .collect::<PyResult<_>>()?;
+    Ok(parts.join(", "))
+}
