@@ -1,3 +1,5 @@
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -30,3 +32,12 @@ def maze_collect(
     seed: int, first: int, count: int, steps: int, size: int = 64
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float64]]: ...
 def maze_success(states: ArrayLike, targets: ArrayLike) -> NDArray[np.bool_]: ...
+
+# --- image costs --------------------------------------------------------------------------
+
+def image_cost(
+    a: NDArray[np.uint8] | NDArray[np.float32],
+    b: NDArray[np.uint8] | NDArray[np.float32],
+    mode: Literal["pairs", "all_pairs"] = "pairs",
+    blur: float = 0.0,
+) -> NDArray[np.float64]: ...

@@ -1,6 +1,7 @@
 //! Python bindings of `hvf-core`: convert, check, release the GIL; nothing else.
 #![deny(missing_docs)]
 
+mod costs;
 mod error;
 mod keypoint;
 mod maze;
@@ -12,6 +13,7 @@ use pyo3::prelude::*;
 #[pymodule]
 fn hvf_core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    costs::register(module)?;
     keypoint::register(module)?;
     maze::register(module)?;
     planner::register(module)?;

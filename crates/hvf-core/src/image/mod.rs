@@ -1,11 +1,11 @@
 //! Costs between images: squared L2 between batches of frames, optionally after a Gaussian blur.
 
-pub mod all_pairs;
-pub mod blur;
-pub mod l2;
+mod all_pairs;
+mod blur;
+mod l2;
 pub mod over_horizon;
 
 pub use all_pairs::all_pairs_costs;
-pub use blur::GaussianBlur;
+pub use blur::{BlurScratch, GaussianBlur};
 pub use l2::{paired_costs, Pixel};
 pub use over_horizon::OverHorizon;

@@ -1,0 +1,108 @@
+//! `image_cost`: the pixel cost between batches of frames, on NumPy's own memory.
+
+use hvf_core_rs::image::{all_pairs_costs, paired_costs, GaussianBlur, Pixel};
+use hvf_core_rs::{Error, Result};
+use ndarray::{ArrayD, ArrayView4};
+use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArray4, PyUntypedArray, PyUntypedArrayMethods};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+
+use crate::error::to_py;
+
+/// A batch of frames, borrowed from NumPy.
+enum Batch<'py> {
+    Bytes(PyReadonlyArray4<'py, u8>),
+    Floats(PyReadonlyArray4<'py, f32>),
+}
+
+fn batch<'py>(argument: &str, object: &Bound<'py, PyAny>) -> PyResult<Batch<'py>> {
+    let Ok(array) = object.cast::<PyUntypedArray>() else {
+        return Err(PyTypeError::new_err(format!(
+            "{argument}: expected a NumPy array [N, H, W, C], got {}",
+            object.get_type().name()?
+        )));
+    };
+    if array.ndim() != 4 {
+        return Err(PyValueError::new_err(format!(
+            "{argument}: expected frames [N, H, W, C], got shape {:?}",
+            array.shape()
+        )));
+    }
+    if let Ok(bytes) = object.extract() {
+        return Ok(Batch::Bytes(bytes));
+    }
+    if let Ok(floats) = object.extract() {
+        return Ok(Batch::Floats(floats));
+    }
+    Err(PyTypeError::new_err(format!(
+        "{argument}: expected uint8 or float32, got {}",
+        array.dtype()
+    )))
+}
+
+#[derive(Clone, Copy)]
+enum Mode {
+    Pairs,
+    AllPairs,
+}
+
+fn costs<T: Pixel>(
+    a: ArrayView4<'_, T>,
+    b: ArrayView4<'_, T>,
+    mode: Mode,
+    blur: f64,
+) -> Result<ArrayD<f64>> {
+    let blur = GaussianBlur::new(blur, "blur")?;
+    match mode {
+        Mode::Pairs => Ok(paired_costs(a, b, blur.as_ref())?.into_dyn()),
+        Mode::AllPairs => Ok(all_pairs_costs(a, b, blur.as_ref())?.into_dyn()),
+    }
+}
+
+/// Squared L2 between frames, per pixel: `sum((a - b)**2) / (H * W)` of colours scaled to
+/// `[0, 1]`.
+///
+/// `a` and `b` are frames `[N, H, W, C]`, both uint8 or both float32 within `[0, 1]`,
+/// C-contiguous; nothing is copied. `mode="pairs"` gives float64 `[N]`; `mode="all_pairs"` gives
+/// `[len(a), len(b)]` (one to many: one frame in `a`). `blur` is the standard deviation, in
+/// pixels, of a Gaussian blur of both frames first, as `scipy.ndimage.gaussian_filter` does on
+/// each channel; 0 is none. Without blur, uint8 costs are exact up to one rounding.
+///
+/// Raises ValueError for shapes that do not match, empty batches, memory that is not contiguous,
+/// float32 values outside `[0, 1]` or a negative blur; TypeError for other dtypes.
+#[pyfunction]
+#[pyo3(signature = (a, b, mode = "pairs", blur = 0.0))]
+fn image_cost<'py>(
+    py: Python<'py>,
+    a: &Bound<'py, PyAny>,
+    b: &Bound<'py, PyAny>,
+    mode: &str,
+    blur: f64,
+) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    let mode = match mode {
+        "pairs" => Mode::Pairs,
+        "all_pairs" => Mode::AllPairs,
+        other => {
+            return Err(PyValueError::new_err(format!(
+                "mode: expected 'pairs' or 'all_pairs', got '{other}'"
+            )))
+        }
+    };
+    let found = match (batch("a", a)?, batch("b", b)?) {
+        (Batch::Bytes(a), Batch::Bytes(b)) => {
+            let (a, b) = (a.as_array(), b.as_array());
+            py.detach(|| costs(a, b, mode, blur))
+        }
+        (Batch::Floats(a), Batch::Floats(b)) => {
+            let (a, b) = (a.as_array(), b.as_array());
+            py.detach(|| costs(a, b, mode, blur))
+        }
+        _ => Err(Error::invalid("b", "must have the dtype of a")),
+    };
+    Ok(found.map_err(to_py)?.into_pyarray(py))
+}
+
+/// Adds `image_cost` to the module.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(image_cost, module)?)
+}
