@@ -4,7 +4,7 @@
 //! axis-aligned square that cannot turn, so its centre is a point among walls grown by its
 //! half-size (their Minkowski sum), and all questions of contact are about that point.
 
-use rapier2d_f64::parry::bounding_volume::Aabb;
+use rapier2d_f64::parry::bounding_volume::{Aabb, BoundingVolume};
 use rapier2d_f64::parry::math::Vector;
 
 use crate::{Error, Result};
@@ -144,6 +144,16 @@ impl FreeSpace {
         self.walls.iter().map(|wall| depth(wall, position)).fold(beyond, f64::max)
     }
 
+    /// Whether the agent surely meets nothing on its way from `start`, where it can stand, to
+    /// `end`, if it moves monotonously on both axes.
+    #[inline]
+    pub fn is_clear(&self, start: [f64; 2], end: [f64; 2]) -> bool {
+        let swept = swept(start, end);
+        end[0].abs() <= REACH
+            && end[1].abs() <= REACH
+            && !self.walls.iter().any(|wall| wall.intersects(&swept))
+    }
+
     /// `position`, moved to the nearest place where the agent can stand if it is not in one:
     /// first into the arena, then out of a wall along the axis of least penetration.
     pub fn push_out(&self, position: [f64; 2]) -> [f64; 2] {
@@ -164,6 +174,12 @@ impl FreeSpace {
         }
         position
     }
+}
+
+/// What a centre that moves from `start` to `end`, monotonously on both axes, may pass through.
+pub(super) fn swept(start: [f64; 2], end: [f64; 2]) -> Aabb {
+    let (start, end) = (Vector::from(start), Vector::from(end));
+    Aabb::new(start.min(end), start.max(end))
 }
 
 /// Distance from a point inside `wall` to its nearest face; 0 or less outside.

@@ -10,5 +10,5 @@ pub mod render;
 pub use batch::{collect, locate_batch, render_batch, step_batch, Interaction};
 pub use episodes::{success, Difficulty, Episode};
 pub use geometry::{FreeSpace, Scene, State};
-pub use physics::{step, ACTION_LIMIT};
+pub use physics::{step, step_within, ACTION_LIMIT};
 pub use render::{Renderer, IMAGE_SIZE};

@@ -18,9 +18,8 @@
 //! is equality and rounding never adds up.
 
 use rapier2d_f64::parry::bounding_volume::{Aabb, BoundingVolume};
-use rapier2d_f64::parry::math::Vector;
 
-use super::geometry::{FreeSpace, State, REACH};
+use super::geometry::{swept, FreeSpace, State, REACH};
 use super::motion::Motion;
 
 /// Actions are clipped to `+-ACTION_LIMIT` on each axis.
@@ -35,19 +34,33 @@ pub const FRICTION: f64 = 1.0;
 /// Far more contacts than a step can have (each is on another face).
 const MOST_CONTACTS: usize = 24;
 
+/// How far a force of 1 N carries the agent in one step if it meets nothing, m.
+const FREE_TRAVEL: f64 = Motion { speed: 0.0, force: 1.0 }.distance(STEP_SECONDS);
+
 /// The state after half a second of `action` (units of [`GEAR`] newtons, clipped to
 /// `+-`[`ACTION_LIMIT`]).
 ///
 /// Total on purpose, for inner loops: a component that is NaN counts as no force. The batch
 /// functions and the bindings refuse actions that are not finite. A start inside a wall is first
 /// pushed out of it ([`FreeSpace::push_out`]); the result is always in free space.
+#[inline]
 pub fn step(state: &State, action: [f64; 2]) -> State {
-    let space = state.scene.free_space();
+    let position = step_within(&state.scene.free_space(), state.position, action);
+    State { scene: state.scene, position }
+}
+
+/// [`step`] from `position` in a scene whose free space is at hand: what rollouts in one scene
+/// share. Returns the new position.
+pub fn step_within(space: &FreeSpace, position: [f64; 2], action: [f64; 2]) -> [f64; 2] {
     let force =
         action.map(|a| if a.is_nan() { 0.0 } else { GEAR * a.clamp(-ACTION_LIMIT, ACTION_LIMIT) });
-    let start = space.push_out(state.position);
-    let end = Agent::at_rest(start, force).travel(&space, STEP_SECONDS);
-    State { scene: state.scene, position: space.push_out(end) }
+    let start = space.push_out(position);
+    // Most steps meet nothing.
+    let end = [start[0] + FREE_TRAVEL * force[0], start[1] + FREE_TRAVEL * force[1]];
+    if space.is_clear(start, end) {
+        return end;
+    }
+    space.push_out(Agent::at_rest(start, force).travel(space, STEP_SECONDS))
 }
 
 /// What the agent touches.
@@ -161,10 +174,8 @@ impl Agent {
     fn fly(&mut self, space: &FreeSpace, left: f64) -> Option<f64> {
         let motions = [self.motion(0), self.motion(1)];
         let reach = motions.map(|motion| motion.distance(left));
-        let from = Vector::from(self.position);
         let to = [0, 1].map(|axis| self.position[axis] + self.heading[axis] * reach[axis]);
-        let to = Vector::from(to);
-        let swept = Aabb::new(from.min(to), from.max(to));
+        let swept = swept(self.position, to);
 
         let mut first: Option<(f64, usize, Surface<'_>)> = None;
         let mut offer = |time: f64, axis, surface| {

@@ -5,6 +5,8 @@
 //! `x` and one in `y`, and a pixel's colour is the mean over its area: exact, hence linear in
 //! motions far below a pixel.
 
+use std::ops::Range;
+
 use super::geometry::{
     Scene, State, AGENT_HALF, ARENA, BORDER, GAP_HALF, GAP_RANGE, WALL_HALF, WALL_X,
 };
@@ -101,9 +103,11 @@ impl Renderer {
             let y = scene.gap_y[wall];
             // Rows count downwards, so the axis of rows is -y.
             for row in axis.pixels(-y - GAP_HALF, -y + GAP_HALF) {
+                let open = axis.covered(row, -y - GAP_HALF, -y + GAP_HALF);
                 for col in columns.clone() {
                     let pixel = row * self.size + col;
-                    let colour = blend(self.walls_at(scene, row, col), 0.0);
+                    let walls = self.closed_walls[pixel] - open * self.wall_columns[wall][col];
+                    let colour = if walls == 0.0 { FLOOR } else { blend(walls, 0.0) };
                     frame[3 * pixel..3 * pixel + 3].copy_from_slice(&colour);
                 }
             }
@@ -118,15 +122,31 @@ impl Renderer {
         let axis = Axis { size: self.size };
         let [x, y] = state.position;
         let columns = axis.pixels(x - AGENT_HALF, x + AGENT_HALF);
-        for row in axis.pixels(-y - AGENT_HALF, -y + AGENT_HALF) {
-            let in_row = axis.covered(row, -y - AGENT_HALF, -y + AGENT_HALF);
+        let rows = axis.pixels(-y - AGENT_HALF, -y + AGENT_HALF);
+        // Only the first and the last pixel of an interval are covered in part.
+        let ends = |pixels: &Range<usize>, centre: f64| {
+            let covered = |pixel| axis.covered(pixel, centre - AGENT_HALF, centre + AGENT_HALF);
+            [covered(pixels.start), covered(pixels.end.saturating_sub(1))]
+        };
+        let (column_ends, row_ends) = (ends(&columns, x), ends(&rows, -y));
+        let part = |pixel: usize, pixels: &Range<usize>, ends: [f64; 2]| {
+            if pixel == pixels.start {
+                ends[0]
+            } else if pixel + 1 == pixels.end {
+                ends[1]
+            } else {
+                1.0
+            }
+        };
+        for row in rows.clone() {
+            let in_row = part(row, &rows, row_ends);
             for col in columns.clone() {
-                let agent = in_row * axis.covered(col, x - AGENT_HALF, x + AGENT_HALF);
+                let pixel = row * self.size + col;
+                let agent = in_row * part(col, &columns, column_ends);
                 if agent >= 1.0 {
-                    visit(row * self.size + col, AGENT);
+                    visit(pixel, AGENT);
                 } else if agent > 0.0 {
-                    let walls = self.walls_at(&state.scene, row, col);
-                    visit(row * self.size + col, blend(walls, agent));
+                    visit(pixel, blend(self.walls_at(&state.scene, row, col), agent));
                 }
             }
         }
@@ -136,6 +156,9 @@ impl Renderer {
     #[inline]
     fn walls_at(&self, scene: &Scene, row: usize, col: usize) -> f64 {
         let mut walls = self.closed_walls[row * self.size + col];
+        if walls == 0.0 {
+            return 0.0;
+        }
         for (columns, y) in self.wall_columns.iter().zip(scene.gap_y) {
             if columns[col] > 0.0 {
                 let axis = Axis { size: self.size };
@@ -147,7 +170,8 @@ impl Renderer {
 
     /// The state that a frame `[size, size, 3]` shows: where the agent and the gaps are.
     ///
-    /// On rendered frames of 32 pixels or more it is right to 0.1 mm. In other frames (blurred,
+    /// On rendered frames of 64 pixels it is right to about 0.1 mm (colours are rounded), on smaller
+    /// ones to a hundredth of a pixel; below 16 pixels the agent may hide inside one pixel. In other frames (blurred,
     /// noisy, generated) it finds the window of the agent's size that is greenest and the windows
     /// of the gaps' size with the least wall; gaps are clipped to `+-GAP_RANGE` and the agent is
     /// put where it can stand, so the result is always a legal state.
@@ -157,41 +181,27 @@ impl Renderer {
     pub fn locate(&self, frame: &[u8]) -> State {
         assert_eq!(frame.len(), self.frame_len());
         let size = self.size;
-        let mut agent_rows = vec![0.0; size];
-        let mut wall_rows = [vec![0.0; size], vec![0.0; size]];
-        let mut agent = vec![0.0; size * size];
-        let weights = self.wall_columns.each_ref().map(|columns| {
-            let squares: f64 = columns.iter().map(|c| c * c).sum();
-            columns.iter().map(|c| c / squares).collect::<Vec<_>>()
-        });
-        for row in 0..size {
-            for col in 0..size {
-                let pixel = row * size + col;
-                let (walls, green) = unmix(&frame[3 * pixel..3 * pixel + 3]);
-                agent[pixel] = green.clamp(0.0, 1.0);
-                for (rows, weights) in wall_rows.iter_mut().zip(&weights) {
-                    rows[row] += weights[col] * walls;
-                }
-            }
-        }
         let axis = Axis { size };
-        let gap_y = wall_rows.map(|rows| {
-            let inside = axis.pixels(-ARENA, ARENA);
-            let open: Vec<f64> =
-                (0..size)
-                    .map(|row| {
-                        if inside.contains(&row) {
-                            (1.0 - rows[row]).clamp(0.0, 1.0)
-                        } else {
-                            0.0
-                        }
-                    })
-                    .collect();
+        let pixels = || frame.chunks_exact(3);
+        let agent: Vec<f64> =
+            pixels().map(|colour| unmix(&UNMIX_AGENT, colour).clamp(0.0, 1.0)).collect();
+        let gap_y = std::array::from_fn(|wall| {
+            let columns = &self.wall_columns[wall];
+            let squares: f64 = columns.iter().map(|column| column * column).sum();
+            let mut open = vec![0.0; size];
+            for row in axis.pixels(-ARENA, ARENA) {
+                let mut covered = 0.0;
+                for col in axis.pixels(WALL_X[wall] - WALL_HALF, WALL_X[wall] + WALL_HALF) {
+                    let pixel = 3 * (row * size + col);
+                    covered += columns[col] * unmix(&UNMIX_WALLS, &frame[pixel..pixel + 3]);
+                }
+                open[row] = (1.0 - covered / squares).clamp(0.0, 1.0);
+            }
             (-axis.centre(&open, GAP_HALF)).clamp(-GAP_RANGE, GAP_RANGE)
         });
-        // Rows first; then columns, looking only at the rows where the agent is.
+        // Only the part of the frame where the agent is, and a pixel around it.
         let (top, left) = axis.brightest_window(&agent, AGENT_HALF);
-        let mut agent_columns = vec![0.0; size];
+        let (mut agent_rows, mut agent_columns) = (vec![0.0; size], vec![0.0; size]);
         let reach = axis.window(AGENT_HALF) + 1;
         for row in top.saturating_sub(1)..(top + reach).min(size) {
             for col in left.saturating_sub(1)..(left + reach).min(size) {
@@ -226,7 +236,7 @@ impl Axis {
 
     /// The pixels that `[low, high]` overlaps.
     #[inline]
-    fn pixels(self, low: f64, high: f64) -> std::ops::Range<usize> {
+    fn pixels(self, low: f64, high: f64) -> Range<usize> {
         let scale = self.size as f64 / (2.0 * VIEW);
         let first = ((low + VIEW) * scale).floor().max(0.0) as usize;
         let last = ((high + VIEW) * scale).ceil().clamp(0.0, self.size as f64) as usize;
@@ -326,20 +336,33 @@ fn blend(walls: f64, agent: f64) -> [u8; 3] {
     })
 }
 
-/// The parts of a pixel that walls and agent cover, by least squares over its channels.
+/// The part of a pixel that walls or agent cover, by least squares over its channels.
 #[inline]
-fn unmix(colour: &[u8]) -> (f64, f64) {
-    let (mut ww, mut wa, mut aa, mut wp, mut ap) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    for channel in 0..3 {
-        let [floor, wall, green] = [FLOOR, WALL, AGENT].map(|colour| f64::from(colour[channel]));
-        let (wall, green, pixel) =
-            (wall - floor, green - floor, f64::from(colour[channel]) - floor);
-        ww += wall * wall;
-        wa += wall * green;
-        aa += green * green;
-        wp += wall * pixel;
-        ap += green * pixel;
+fn unmix(weights: &[f64; 3], colour: &[u8]) -> f64 {
+    (0..3).map(|i| weights[i] * (f64::from(colour[i]) - f64::from(FLOOR[i]))).sum()
+}
+
+const UNMIX_WALLS: [f64; 3] = unmixing(WALL, AGENT);
+const UNMIX_AGENT: [f64; 3] = unmixing(AGENT, WALL);
+
+/// Row of the pseudo-inverse of the two colours (less the floor's) that gives the part of `of`.
+const fn unmixing(of: [u8; 3], other: [u8; 3]) -> [f64; 3] {
+    let (mut a, mut b) = ([0.0; 3], [0.0; 3]);
+    let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
+    let mut channel = 0;
+    while channel < 3 {
+        a[channel] = of[channel] as f64 - FLOOR[channel] as f64;
+        b[channel] = other[channel] as f64 - FLOOR[channel] as f64;
+        aa += a[channel] * a[channel];
+        ab += a[channel] * b[channel];
+        bb += b[channel] * b[channel];
+        channel += 1;
     }
-    let determinant = ww * aa - wa * wa;
-    ((aa * wp - wa * ap) / determinant, (ww * ap - wa * wp) / determinant)
+    let mut row = [0.0; 3];
+    channel = 0;
+    while channel < 3 {
+        row[channel] = (bb * a[channel] - ab * b[channel]) / (aa * bb - ab * ab);
+        channel += 1;
+    }
+    row
 }
