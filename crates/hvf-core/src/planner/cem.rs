@@ -26,7 +26,7 @@ pub struct CemConfig {
     /// Most iterations.
     pub iterations: usize,
     /// A problem is done when no variance is left above this (squared units of a candidate).
-    pub min_variance: f32,
+    pub min_variance: f64,
     /// Best candidates that compete again in the next iteration, with the cost they had.
     pub keep_elites: usize,
 }
@@ -363,7 +363,7 @@ impl<'a> Problem<'a> {
     }
 
     fn converged(&self, config: &CemConfig) -> bool {
-        let std = self.refitted.max_std();
+        let std = f64::from(self.refitted.max_std());
         std * std < config.min_variance
     }
 }

@@ -9,6 +9,8 @@ pub mod distribution;
 pub mod model;
 pub mod mpc;
 pub mod philox;
+#[cfg(test)]
+mod point_mass;
 pub mod sampler;
 pub mod search;
 

@@ -21,16 +21,16 @@ pub enum ActionInitial {
     /// The reference code's maze draws `x >= 0` only: a hint that the goal is to the right.
     Uniform {
         /// Lower bounds, or the action box's.
-        low: Option<Vec<f32>>,
+        low: Option<Vec<f64>>,
         /// Upper bounds, or the action box's.
-        high: Option<Vec<f32>>,
+        high: Option<Vec<f64>>,
     },
     /// The same Gaussian in every dimension (the paper's has mean 0 and deviation 1).
     Normal {
         /// Mean, in units of the action.
-        mean: f32,
+        mean: f64,
         /// Standard deviation, in units of the action.
-        std: f32,
+        std: f64,
     },
 }
 
@@ -44,7 +44,7 @@ pub struct MpcConfig {
     /// First iteration's distribution where there is no warm start.
     pub initial: ActionInitial,
     /// Standard deviation around a warm start, in units of the action.
-    pub warm_start_std: f32,
+    pub warm_start_std: f64,
     /// Budget (`D`, `D*`, iterations).
     pub cem: CemConfig,
 }
@@ -72,7 +72,7 @@ impl MpcConfig {
         if self.horizon == 0 {
             return Err(Error::invalid("horizon", "must be at least 1, got 0"));
         }
-        if self.action_repeat == 0 || self.horizon % self.action_repeat != 0 {
+        if !self.horizon.is_multiple_of(self.action_repeat) {
             return Err(Error::invalid(
                 "action_repeat",
                 format!("must divide horizon ({}), got {}", self.horizon, self.action_repeat),
@@ -109,15 +109,15 @@ impl MpcConfig {
             ActionInitial::Normal { mean, std } => {
                 let dimensions = self.decisions() * space.dim();
                 return Ok(Initial::Normal {
-                    mean: vec![*mean; dimensions],
-                    std: vec![*std; dimensions],
+                    mean: vec![*mean as f32; dimensions],
+                    std: vec![*std as f32; dimensions],
                 });
             }
             ActionInitial::Uniform { low, high } => {
-                (low.as_deref().unwrap_or(space.low()), high.as_deref().unwrap_or(space.high()))
+                (corner(low.as_deref(), space.low()), corner(high.as_deref(), space.high()))
             }
         };
-        for (argument, corner) in [("initial_low", low), ("initial_high", high)] {
+        for (argument, corner) in [("initial_low", &low), ("initial_high", &high)] {
             if corner.len() != space.dim() {
                 return Err(Error::invalid(
                     argument,
@@ -156,7 +156,7 @@ impl MpcConfig {
                 mean.push(average.clamp(space.low()[dimension], space.high()[dimension]));
             }
         }
-        let std = vec![self.warm_start_std; mean.len()];
+        let std = vec![self.warm_start_std as f32; mean.len()];
         Initial::Normal { mean, std }
     }
 }
@@ -223,6 +223,11 @@ pub fn plan<W: WorldModel>(
             history: solution.history,
         })
         .collect())
+}
+
+/// A corner of the initial box, or of the action box where it is not given.
+fn corner(given: Option<&[f64]>, action_box: &[f32]) -> Vec<f32> {
+    given.map_or_else(|| action_box.to_vec(), |g| g.iter().map(|&value| value as f32).collect())
 }
 
 /// Every action `repeat` times: `[.., H / repeat, A]` to `[.., H, A]`.
@@ -343,3 +348,7 @@ impl<W: WorldModel> Objective for Rollouts<'_, '_, W> {
         format!("rollout_costs for {}", (self.problems.describe)(problem))
     }
 }
+
+#[cfg(test)]
+#[path = "mpc_tests.rs"]
+mod tests;

@@ -368,3 +368,7 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> 
         Ok(Array2::from_shape_vec((1, count), costs).expect("one cost per sample"))
     }
 }
+
+#[cfg(test)]
+#[path = "search_tests.rs"]
+mod tests;

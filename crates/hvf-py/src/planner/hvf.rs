@@ -39,7 +39,7 @@ impl PyHvf {
         samples: Whole,
         elites: Whole,
         iterations: Whole,
-        min_variance: f32,
+        min_variance: f64,
         reduction: &str,
         keep_elites: Whole,
         prune: bool,
@@ -147,7 +147,7 @@ impl PyHvf {
         self.config.cem.iterations
     }
     #[getter]
-    fn min_variance(&self) -> f32 {
+    fn min_variance(&self) -> f64 {
         self.config.cem.min_variance
     }
     #[getter]

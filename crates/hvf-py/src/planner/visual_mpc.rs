@@ -43,15 +43,15 @@ impl PyVisualMpc {
         samples: Whole,
         elites: Whole,
         iterations: Whole,
-        min_variance: f32,
+        min_variance: f64,
         action_repeat: Whole,
         initial: &str,
-        initial_low: Option<Vec<f32>>,
-        initial_high: Option<Vec<f32>>,
-        initial_mean: f32,
-        initial_std: f32,
+        initial_low: Option<Vec<f64>>,
+        initial_high: Option<Vec<f64>>,
+        initial_mean: f64,
+        initial_std: f64,
         keep_elites: Whole,
-        warm_start_std: f32,
+        warm_start_std: f64,
     ) -> PyResult<Self> {
         let initial = match initial {
             "uniform" => ActionInitial::Uniform { low: initial_low, high: initial_high },
@@ -145,7 +145,7 @@ impl PyVisualMpc {
         self.config.cem.iterations
     }
     #[getter]
-    fn min_variance(&self) -> f32 {
+    fn min_variance(&self) -> f64 {
         self.config.cem.min_variance
     }
     #[getter]
@@ -157,7 +157,7 @@ impl PyVisualMpc {
         self.config.cem.keep_elites
     }
     #[getter]
-    fn warm_start_std(&self) -> f32 {
+    fn warm_start_std(&self) -> f64 {
         self.config.warm_start_std
     }
     #[getter]
@@ -168,28 +168,28 @@ impl PyVisualMpc {
         }
     }
     #[getter]
-    fn initial_low(&self) -> Option<Vec<f32>> {
+    fn initial_low(&self) -> Option<Vec<f64>> {
         match &self.config.initial {
             ActionInitial::Uniform { low, .. } => low.clone(),
             ActionInitial::Normal { .. } => None,
         }
     }
     #[getter]
-    fn initial_high(&self) -> Option<Vec<f32>> {
+    fn initial_high(&self) -> Option<Vec<f64>> {
         match &self.config.initial {
             ActionInitial::Uniform { high, .. } => high.clone(),
             ActionInitial::Normal { .. } => None,
         }
     }
     #[getter]
-    fn initial_mean(&self) -> f32 {
+    fn initial_mean(&self) -> f64 {
         match self.config.initial {
             ActionInitial::Uniform { .. } => 0.0,
             ActionInitial::Normal { mean, .. } => mean,
         }
     }
     #[getter]
-    fn initial_std(&self) -> f32 {
+    fn initial_std(&self) -> f64 {
         match self.config.initial {
             ActionInitial::Uniform { .. } => 1.0,
             ActionInitial::Normal { std, .. } => std,

@@ -1,0 +1,220 @@
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use crate::planner::point_mass::{PointMass, Points};
+use crate::planner::sampler::Purpose;
+use ndarray::Array3;
+use proptest::prelude::*;
+
+fn stream(seed: u64, problem: u64) -> Stream {
+    Stream { seed, purpose: Purpose::Actions, problem }
+}
+
+fn solve(
+    config: &MpcConfig,
+    world: &PointMass,
+    starts: &Points,
+    goals: &Points,
+    streams: &[Stream],
+    warm_start: Option<&Array3<f32>>,
+    share_rollouts: bool,
+) -> Result<Vec<Plan>> {
+    let warm_start = warm_start.map(|plans| plans.view());
+    let describe = |problem: usize| format!("problem {problem}");
+    let problems =
+        Problems { starts, goals, streams, warm_start, share_rollouts, describe: &describe };
+    plan(config, world, &problems, &|| Ok(()))
+}
+
+fn solve_one(config: &MpcConfig, start: [f32; 2], goal: [f32; 2]) -> Result<Plan> {
+    let (starts, goals) = (Points(vec![start]), Points(vec![goal]));
+    let mut plans = solve(config, &PointMass::new(), &starts, &goals, &[stream(0, 0)], None, true)?;
+    Ok(plans.remove(0))
+}
+
+#[test]
+fn reaches_a_goal_within_reach_and_saturates_towards_one_beyond() {
+    let cem = CemConfig { iterations: 15, min_variance: 0.0, ..CemConfig::default() };
+    let config = MpcConfig { cem, ..MpcConfig::default() };
+    let near = solve_one(&config, [0.0, 0.0], [2.0, -1.0]).unwrap();
+    assert!(near.cost < 1e-4, "{near:?}");
+    // Five steps of at most 1 in each direction leave (4, 2) of (9, 7), squared distance 20.
+    let far = solve_one(&config, [0.0, 0.0], [9.0, 7.0]).unwrap();
+    assert!(far.cost >= 20.0 && far.cost < 20.5, "{far:?}");
+    assert!(far.actions.iter().all(|action| *action <= 1.0 && *action > 0.9));
+}
+
+#[test]
+fn predicted_cost_is_the_cost_of_the_returned_actions() {
+    for action_repeat in [1, 2, 3] {
+        let config = MpcConfig { horizon: 6, action_repeat, ..MpcConfig::default() };
+        let plan = solve_one(&config, [0.5, 0.0], [1.0, 2.0]).unwrap();
+        assert_eq!(plan.actions.dim(), (6, 2));
+        let cost = PointMass::new().cost([0.5, 0.0], [1.0, 2.0], plan.actions.view());
+        assert_eq!(plan.cost, cost);
+        for held in plan.actions.as_slice().unwrap().chunks(2 * action_repeat) {
+            assert!(held.chunks(2).all(|action| action == &held[..2]));
+        }
+    }
+}
+
+#[test]
+fn a_sub_box_confines_the_first_iteration() {
+    let initial = ActionInitial::Uniform { low: Some(vec![0.0, -1.0]), high: None };
+    let cem = CemConfig { iterations: 1, ..CemConfig::default() };
+    let config = MpcConfig { initial, cem, ..MpcConfig::default() };
+    let plan = solve_one(&config, [0.0, 0.0], [-5.0, 0.0]).unwrap();
+    assert!(plan.actions.column(0).iter().all(|x| *x >= 0.0));
+}
+
+#[test]
+fn a_warm_start_continues_the_shifted_plan() {
+    let cem = CemConfig { samples: 100, elites: 10, iterations: 1, ..CemConfig::default() };
+    let config = MpcConfig { horizon: 3, warm_start_std: 1e-4, cem, ..MpcConfig::default() };
+    let (starts, goals) = (Points(vec![[0.0; 2]]), Points(vec![[0.0; 2]]));
+    let last = Array3::from_shape_vec((1, 3, 2), vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6]).unwrap();
+    let world = PointMass::new();
+    let plans =
+        solve(&config, &world, &starts, &goals, &[stream(0, 0)], Some(&last), true).unwrap();
+    for (value, expected) in plans[0].actions.iter().zip([0.3, 0.4, 0.5, 0.6, 0.5, 0.6]) {
+        assert!((value - expected).abs() < 1e-3, "{plans:?}");
+    }
+}
+
+#[test]
+fn one_start_and_one_seed_share_the_first_rollouts() {
+    let config = MpcConfig::default();
+    let starts = Points(vec![[0.0; 2]]);
+    let goals = Points((0..20).map(|goal| [goal as f32 * 0.2, 1.0]).collect());
+    let streams: Vec<Stream> = (0..20).map(|problem| stream(3, problem)).collect();
+    let (shared, alone) = (PointMass::new(), PointMass::new());
+    let with = solve(&config, &shared, &starts, &goals, &streams, None, true).unwrap();
+    let without = solve(&config, &alone, &starts, &goals, &streams, None, false).unwrap();
+    assert_eq!(with, without);
+    assert_eq!(alone.rollouts.get() - shared.rollouts.get(), 19 * 200);
+}
+
+#[test]
+fn different_seeds_do_not_share() {
+    let starts = Points(vec![[0.0; 2]]);
+    let goals = Points(vec![[1.0; 2], [1.0; 2]]);
+    let streams = [stream(1, 0), stream(2, 0)];
+    let plans =
+        solve(&MpcConfig::default(), &PointMass::new(), &starts, &goals, &streams, None, true);
+    let plans = plans.unwrap();
+    assert_ne!(plans[0].actions, plans[1].actions);
+}
+
+#[test]
+fn all_nan_names_the_problem_and_the_method() {
+    let mut world = PointMass::new();
+    world.nan_at = Some(2.0);
+    let starts = Points(vec![[0.0; 2]; 3]);
+    let goals = Points(vec![[1.0; 2], [1.5; 2], [2.0; 2]]);
+    let streams = [stream(0, 0); 3];
+    let error =
+        solve(&MpcConfig::default(), &world, &starts, &goals, &streams, None, true).unwrap_err();
+    let error = error.to_string();
+    assert!(error.contains("rollout_costs for problem 2"), "{error}");
+}
+
+#[test]
+fn interrupts_stop_between_calls() {
+    let world = PointMass::new();
+    let frames = Points(vec![[0.0; 2]]);
+    let problems = Problems {
+        starts: &frames,
+        goals: &frames,
+        streams: &[stream(0, 0)],
+        warm_start: None,
+        share_rollouts: true,
+        describe: &|_| String::new(),
+    };
+    let stop = || if world.calls.get() == 2 { Err(Error::Interrupted) } else { Ok(()) };
+    let cem = CemConfig { min_variance: 0.0, ..CemConfig::default() };
+    let config = MpcConfig { cem, ..MpcConfig::default() };
+    let error = plan(&config, &world, &problems, &stop).unwrap_err();
+    assert!(matches!(error, Error::Interrupted));
+    assert_eq!(world.calls.get(), 2);
+}
+
+#[test]
+fn fields_out_of_range_are_named() {
+    let good = MpcConfig::default();
+    let uniform = |low: Vec<f64>, high: Vec<f64>| MpcConfig {
+        initial: ActionInitial::Uniform { low: Some(low), high: Some(high) },
+        ..good.clone()
+    };
+    let normal =
+        |mean, std| MpcConfig { initial: ActionInitial::Normal { mean, std }, ..good.clone() };
+    for (field, config) in [
+        ("horizon", MpcConfig { horizon: 0, ..good.clone() }),
+        ("horizon", MpcConfig { horizon: 200_000, ..good.clone() }),
+        ("action_repeat", MpcConfig { action_repeat: 0, ..good.clone() }),
+        ("action_repeat", MpcConfig { action_repeat: 2, ..good.clone() }),
+        ("warm_start_std", MpcConfig { warm_start_std: 0.0, ..good.clone() }),
+        ("initial_std", normal(0.0, -1.0)),
+        ("initial_mean", normal(f64::NAN, 1.0)),
+        ("initial_low", uniform(vec![-2.0, 0.0], vec![1.0, 1.0])),
+        ("initial_low", uniform(vec![0.5, 0.0], vec![0.0, 1.0])),
+        ("initial_low", uniform(vec![f64::NAN, 0.0], vec![0.0, 1.0])),
+        ("initial_low", uniform(vec![0.0], vec![1.0, 1.0])),
+        ("initial_high", uniform(vec![0.0, 0.0], vec![1.0])),
+    ] {
+        let error = solve_one(&config, [0.0; 2], [1.0; 2]).unwrap_err().to_string();
+        assert!(error.starts_with(field), "{field}: {error}");
+    }
+}
+
+#[test]
+fn batches_that_disagree_are_named() {
+    let config = MpcConfig::default();
+    let world = PointMass::new();
+    let points = |count: usize| Points(vec![[0.0; 2]; count]);
+    let wrong = |starts, goals, streams, warm: Option<Array3<f32>>| {
+        let streams = vec![stream(0, 0); streams];
+        let starts: Points = points(starts);
+        solve(&config, &world, &starts, &points(goals), &streams, warm.as_ref(), true)
+            .unwrap_err()
+            .to_string()
+    };
+    assert!(wrong(1, 0, 0, None).starts_with("goals"));
+    assert!(wrong(2, 3, 3, None).starts_with("starts"));
+    assert!(wrong(3, 3, 2, None).starts_with("seeds"));
+    assert!(wrong(2, 2, 2, Some(Array3::zeros((2, 4, 2)))).starts_with("warm_start"));
+    let nan = Array3::from_elem((2, 5, 2), f32::NAN);
+    assert!(wrong(2, 2, 2, Some(nan)).starts_with("warm_start"));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn a_plan_depends_neither_on_its_batch_nor_on_threads_nor_on_the_calls(
+        seed: u64,
+        problems in 1usize..60,
+        threads in 1usize..5,
+        max_candidates in 1usize..2000,
+    ) {
+        let cem = CemConfig { samples: 60, elites: 9, ..CemConfig::default() };
+        let config = MpcConfig { cem, ..MpcConfig::default() };
+        let start = |b: usize| [b as f32 * 0.1, -0.3];
+        let goal = |b: usize| [1.0, b as f32 * 0.4];
+        let starts = Points((0..problems).map(start).collect());
+        let goals = Points((0..problems).map(goal).collect());
+        let streams: Vec<Stream> = (0..problems as u64).map(|b| stream(seed, b)).collect();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let batch = pool.install(|| {
+            let mut world = PointMass::new();
+            world.max_candidates = max_candidates;
+            solve(&config, &world, &starts, &goals, &streams, None, true).unwrap()
+        });
+        for (b, expected) in batch.iter().enumerate().step_by(7) {
+            let (starts, goals) = (Points(vec![start(b)]), Points(vec![goal(b)]));
+            let world = PointMass::new();
+            let alone =
+                solve(&config, &world, &starts, &goals, &[streams[b]], None, true).unwrap();
+            prop_assert_eq!(&alone[0], expected);
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! An analytic world for the planner's tests: a point that moves by its actions, scored by the
+//! squared distance to the goal; and a generator whose latents are positions.
+#![allow(clippy::unwrap_used)]
+
+use std::cell::{Cell, RefCell};
+
+use ndarray::{Array2, Array3, Array4, ArrayView2};
+
+use super::model::{ActionSpace, Frames, SubgoalModel, WorldModel};
+use crate::{Error, Result};
+
+/// Positions in the plane.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Points(pub Vec<[f32; 2]>);
+
+impl Frames for Points {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn select(&self, index: &[usize]) -> Result<Self> {
+        let point = |&i: &usize| {
+            self.0
+                .get(i)
+                .copied()
+                .ok_or_else(|| Error::invalid("index", format!("{i} is too large")))
+        };
+        index.iter().map(point).collect::<Result<_>>().map(Points)
+    }
+}
+
+/// Each action moves the point by itself; actions are within `[-1, 1]`.
+pub struct PointMass {
+    pub actions: ActionSpace,
+    pub max_candidates: usize,
+    pub shares: bool,
+    /// Cost wherever the goal has this first coordinate.
+    pub nan_at: Option<f32>,
+    /// Rollouts (candidates) and calls so far.
+    pub rollouts: Cell<usize>,
+    pub calls: Cell<usize>,
+}
+
+impl PointMass {
+    pub fn new() -> Self {
+        Self {
+            actions: ActionSpace::new(vec![-1.0; 2], vec![1.0; 2]).unwrap(),
+            max_candidates: 1 << 16,
+            shares: true,
+            nan_at: None,
+            rollouts: Cell::new(0),
+            calls: Cell::new(0),
+        }
+    }
+
+    pub fn cost(&self, start: [f32; 2], goal: [f32; 2], actions: ArrayView2<'_, f32>) -> f32 {
+        if self.nan_at == Some(goal[0]) {
+            return f32::NAN;
+        }
+        let mut position = start;
+        for action in actions.outer_iter() {
+            position[0] += action[0];
+            position[1] += action[1];
+        }
+        (position[0] - goal[0]).powi(2) + (position[1] - goal[1]).powi(2)
+    }
+
+    fn count(&self, rollouts: usize) {
+        self.calls.set(self.calls.get() + 1);
+        self.rollouts.set(self.rollouts.get() + rollouts);
+    }
+}
+
+impl WorldModel for PointMass {
+    type Frames = Points;
+
+    fn action_space(&self) -> &ActionSpace {
+        &self.actions
+    }
+
+    fn max_candidates(&self) -> usize {
+        self.max_candidates
+    }
+
+    fn rollout_costs(
+        &self,
+        starts: &Points,
+        goals: &Points,
+        actions: Array4<f32>,
+    ) -> Result<Array2<f32>> {
+        let (problems, samples, _, _) = actions.dim();
+        assert_eq!((starts.len(), goals.len()), (problems, problems));
+        assert!(actions.is_standard_layout());
+        self.count(problems * samples);
+        Ok(Array2::from_shape_fn((problems, samples), |(b, d)| {
+            let candidate = actions.slice(ndarray::s![b, d, .., ..]);
+            self.cost(starts.0[b], goals.0[b], candidate)
+        }))
+    }
+
+    fn shared_rollout_costs(
+        &self,
+        start: &Points,
+        goals: &Points,
+        actions: Array3<f32>,
+    ) -> Option<Result<Array2<f32>>> {
+        if !self.shares {
+            return None;
+        }
+        let samples = actions.dim().0;
+        self.count(samples);
+        Some(Ok(Array2::from_shape_fn((goals.len(), samples), |(b, d)| {
+            let candidate = actions.slice(ndarray::s![d, .., ..]);
+            self.cost(start.0[0], goals.0[b], candidate)
+        })))
+    }
+}
+
+/// Decodes the first two of three latents, doubled, to a position. Remembers its latents.
+pub struct Positions {
+    pub seen: RefCell<Vec<Array3<f32>>>,
+    pub frames_missing: usize,
+}
+
+impl Positions {
+    pub fn new() -> Self {
+        Self { seen: RefCell::new(Vec::new()), frames_missing: 0 }
+    }
+
+    pub fn position(latents: &[f32]) -> [f32; 2] {
+        [2.0 * latents[0], 2.0 * latents[1]]
+    }
+}
+
+impl SubgoalModel<Points> for Positions {
+    fn latent_dim(&self) -> usize {
+        3
+    }
+
+    fn decode(&self, scene: &Points, latents: Array3<f32>) -> Result<Points> {
+        assert_eq!(scene.len(), 1);
+        let mut positions: Vec<[f32; 2]> =
+            latents.as_slice().unwrap().chunks(3).map(Self::position).collect();
+        positions.truncate(positions.len() - self.frames_missing);
+        self.seen.borrow_mut().push(latents);
+        Ok(Points(positions))
+    }
+}

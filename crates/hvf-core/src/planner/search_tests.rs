@@ -1,0 +1,206 @@
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+use crate::planner::point_mass::{PointMass, Points, Positions};
+use proptest::prelude::*;
+
+const START: [f32; 2] = [0.0, 0.0];
+const GOAL: [f32; 2] = [6.0, 3.0];
+
+fn small(subgoals: usize) -> HvfConfig {
+    let mpc_cem = CemConfig { samples: 30, elites: 6, iterations: 3, ..CemConfig::default() };
+    let mpc = MpcConfig { horizon: 3, cem: mpc_cem, ..MpcConfig::default() };
+    let cem = CemConfig { samples: 24, elites: 5, iterations: 3, ..CemConfig::default() };
+    HvfConfig { mpc, subgoals, cem, ..HvfConfig::default() }
+}
+
+fn run_in(
+    config: &HvfConfig,
+    world: &PointMass,
+    generator: &Positions,
+    seed: u64,
+) -> Result<SearchResult<Points>> {
+    let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
+    search(config, world, generator, &start, &goal, seed, &|| Ok(()))
+}
+
+fn run(config: &HvfConfig, seed: u64) -> SearchResult<Points> {
+    run_in(config, &PointMass::new(), &Positions::new(), seed).unwrap()
+}
+
+/// Everything but what the savings may change: the population and the counts.
+fn assert_same(a: &SearchResult<Points>, b: &SearchResult<Points>) {
+    assert_eq!(a.subgoals, b.subgoals);
+    assert_eq!(a.latents, b.latents);
+    assert_eq!(a.cost.to_bits(), b.cost.to_bits());
+    assert_eq!(a.plans, b.plans);
+    assert_eq!(a.history.len(), b.history.len());
+    for (a, b) in a.history.iter().zip(&b.history) {
+        let figures = |stats: &SearchStats| {
+            let costs = stats.costs;
+            [costs.best, costs.elite_mean, costs.elite_worst, costs.max_std].map(f32::to_bits)
+        };
+        assert_eq!(figures(a), figures(b));
+        assert_eq!(a.evaluated + a.skipped, b.evaluated + b.skipped);
+    }
+}
+
+#[test]
+fn splits_a_way_too_long_for_one_plan() {
+    // Six steps of at most 1 per segment would do for two of three, not for one.
+    let mut config = small(2);
+    config.mpc.horizon = 3;
+    config.cem = CemConfig { samples: 200, elites: 20, iterations: 8, ..CemConfig::default() };
+    config.mpc.cem.samples = 100;
+    let alone = run(&small(0), 0);
+    let split = run(&config, 0);
+    assert!(alone.cost > 8.0, "{alone:?}");
+    assert!(split.cost < 0.1, "{split:?}");
+    assert_eq!(split.plans.len(), 3);
+    assert_eq!(split.subgoals.len(), 2);
+}
+
+#[test]
+fn no_subgoals_is_the_plan_to_the_goal() {
+    let found = run(&small(0), 5);
+    let problems = Problems {
+        starts: &Points(vec![START]),
+        goals: &Points(vec![GOAL]),
+        streams: &[Stream { seed: 5, purpose: Purpose::Actions, problem: 0 }],
+        warm_start: None,
+        share_rollouts: true,
+        describe: &|_| String::new(),
+    };
+    let plans = plan(&small(0).mpc, &PointMass::new(), &problems, &|| Ok(())).unwrap();
+    assert_eq!(found.plans, plans);
+    assert_eq!(found.cost, plans[0].cost);
+    assert!(found.subgoals.is_empty() && found.history.is_empty());
+}
+
+/// Algorithm 2 with loops: every sample planned on its own, over the latents that were drawn.
+#[test]
+fn equals_a_plain_search_over_the_same_latents() {
+    for reduction in [Reduction::Max, Reduction::Mean] {
+        let config = HvfConfig { reduction, ..small(2) };
+        let generator = Positions::new();
+        let seed = 9;
+        let found = run_in(&config, &PointMass::new(), &generator, seed).unwrap();
+        let mut best = (f32::INFINITY, Vec::new());
+        for (iteration, latents) in generator.seen.borrow().iter().enumerate() {
+            let mut costs = Vec::new();
+            for (sample, latents) in latents.outer_iter().enumerate() {
+                let subgoals = latents.outer_iter().map(|l| Positions::position(&l.to_vec()));
+                let way: Vec<[f32; 2]> =
+                    [START].into_iter().chain(subgoals).chain([GOAL]).collect();
+                let segments: Vec<f32> = (0..3)
+                    .map(|segment| {
+                        let problems = Problems {
+                            starts: &Points(vec![way[segment]]),
+                            goals: &Points(vec![way[segment + 1]]),
+                            streams: &[segment_stream(seed, iteration, sample, segment)],
+                            warm_start: None,
+                            share_rollouts: false,
+                            describe: &|_| String::new(),
+                        };
+                        plan(&config.mpc, &PointMass::new(), &problems, &|| Ok(())).unwrap()[0].cost
+                    })
+                    .collect();
+                let cost = match reduction {
+                    Reduction::Max => segments.iter().copied().fold(0.0, f32::max),
+                    Reduction::Mean => segments.iter().sum::<f32>() / 3.0,
+                };
+                if cost < best.0 {
+                    best = (cost, segments);
+                }
+                costs.push(cost);
+            }
+            costs.sort_by(f32::total_cmp);
+            let stats = found.history[iteration].costs;
+            assert!((stats.best - costs[0]).abs() < 1e-6);
+            assert!((stats.elite_worst - costs[4]).abs() < 1e-6);
+            let elite_mean = costs[..5].iter().sum::<f32>() / 5.0;
+            assert!((stats.elite_mean - elite_mean).abs() < 1e-5);
+        }
+        let segments: Vec<f32> = found.plans.iter().map(|plan| plan.cost).collect();
+        assert_eq!(segments, best.1);
+        assert!((found.cost - best.0).abs() < 1e-6);
+        let decoded: Vec<[f32; 2]> =
+            found.latents.outer_iter().map(|l| Positions::position(&l.to_vec())).collect();
+        assert_eq!(found.subgoals.0, decoded);
+    }
+}
+
+#[test]
+fn pruning_and_sharing_skip_work() {
+    let config = small(2);
+    let lazy = PointMass::new();
+    let found = run_in(&config, &lazy, &Positions::new(), 1).unwrap();
+    let skipped: usize = found.history.iter().map(|stats| stats.skipped).sum();
+    assert!(skipped > 20, "{found:?}");
+    let diligent = PointMass::new();
+    let all = HvfConfig { prune: false, share_rollouts: false, ..config };
+    run_in(&all, &diligent, &Positions::new(), 1).unwrap();
+    assert!(lazy.rollouts.get() < diligent.rollouts.get());
+}
+
+#[test]
+fn the_mean_is_never_pruned() {
+    let found = run(&HvfConfig { reduction: Reduction::Mean, ..small(2) }, 1);
+    assert!(found.history.iter().all(|stats| stats.skipped == 0));
+}
+
+#[test]
+fn a_generator_that_gives_too_few_frames_is_an_error() {
+    let generator = Positions { frames_missing: 1, ..Positions::new() };
+    let error = run_in(&small(2), &PointMass::new(), &generator, 0).unwrap_err().to_string();
+    assert!(error.contains("decode") && error.contains("48") && error.contains("47"), "{error}");
+}
+
+#[test]
+fn all_nan_names_iteration_sample_and_segment() {
+    let mut world = PointMass::new();
+    world.nan_at = Some(GOAL[0]);
+    let error = run_in(&small(1), &world, &Positions::new(), 0).unwrap_err().to_string();
+    assert!(error.contains("segment 1 of sample") && error.contains("iteration 0"), "{error}");
+}
+
+#[test]
+fn several_starts_or_goals_are_refused() {
+    let (one, two) = (Points(vec![START]), Points(vec![START, GOAL]));
+    let (world, generator) = (PointMass::new(), Positions::new());
+    let config = small(1);
+    let go = |start: &Points, goal: &Points| {
+        search(&config, &world, &generator, start, goal, 0, &|| Ok(())).unwrap_err().to_string()
+    };
+    assert!(go(&two, &one).starts_with("start"));
+    assert!(go(&one, &two).starts_with("goal"));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    #[test]
+    fn savings_threads_and_call_sizes_change_nothing(
+        seed: u64,
+        subgoals in 1usize..4,
+        keep_elites in 0usize..5,
+        threads in 1usize..5,
+        max_candidates in 1usize..3000,
+        prune: bool,
+        shares: bool,
+    ) {
+        let mut config = small(subgoals);
+        config.cem.keep_elites = keep_elites;
+        let plain = HvfConfig { prune: false, share_rollouts: false, ..config.clone() };
+        let expected = run(&plain, seed);
+        let config = HvfConfig { prune, ..config };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let found = pool.install(|| {
+            let mut world = PointMass::new();
+            world.max_candidates = max_candidates;
+            world.shares = shares;
+            run_in(&config, &world, &Positions::new(), seed).unwrap()
+        });
+        assert_same(&found, &expected);
+    }
+}
