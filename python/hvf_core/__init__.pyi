@@ -1,4 +1,5 @@
-from typing import Literal
+from collections.abc import Sequence
+from typing import Any, Literal, SupportsIndex, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,3 +42,318 @@ def image_cost(
     mode: Literal["pairs", "all_pairs"] = "pairs",
     blur: float = 0.0,
 ) -> NDArray[np.float64]: ...
+
+# --- planner ------------------------------------------------------------------------------
+
+@final
+class VisualMPC:
+    """Visual model-predictive control: the cross-entropy method over actions.
+
+    Draws ``samples`` candidates of ``horizon`` steps, keeps the ``elites`` with the lowest
+    predicted cost and refits a diagonal Gaussian to them, until its largest variance falls below
+    ``min_variance`` or ``iterations`` are used up (paper, section 3 and algorithm 1). Objects are
+    immutable, compare by value, and can be copied and pickled.
+
+    Args:
+        horizon: Model steps that a plan looks ahead (``H``).
+        samples: Candidates per iteration (``D``).
+        elites: Candidates that the distribution is refitted to (``D*``), at most ``samples``.
+        iterations: Most iterations.
+        min_variance: Variance below which a problem is done, in squared units of an action.
+        action_repeat: Model steps that one drawn action is held for; divides ``horizon``.
+        initial: First iteration's distribution: ``"uniform"`` over the action box, or
+            ``"normal"`` (the paper's has mean 0 and deviation 1), clipped to the box.
+        initial_low: Lower corner of a part of the action box, ``[A]``, for ``"uniform"``.
+        initial_high: Upper corner, ``[A]``. The original maze code drew ``x >= 0`` only, a hint
+            that the goal is to the right.
+        initial_mean: Mean of ``"normal"``, in units of an action.
+        initial_std: Standard deviation of ``"normal"``.
+        keep_elites: Best candidates that compete again in the next iteration, with the cost they
+            had; at most ``elites``.
+        warm_start_std: Standard deviation around a warm start, in units of an action.
+
+    Raises:
+        ValueError: An argument is out of range; the message names it.
+        TypeError: An argument has the wrong type.
+    """
+
+    def __new__(
+        cls,
+        *,
+        horizon: SupportsIndex = 5,
+        samples: SupportsIndex = 200,
+        elites: SupportsIndex = 40,
+        iterations: SupportsIndex = 5,
+        min_variance: float = 1e-3,
+        action_repeat: SupportsIndex = 1,
+        initial: Literal["uniform", "normal"] = "uniform",
+        initial_low: Sequence[float] | NDArray[np.floating] | None = None,
+        initial_high: Sequence[float] | NDArray[np.floating] | None = None,
+        initial_mean: float = 0.0,
+        initial_std: float = 1.0,
+        keep_elites: SupportsIndex = 0,
+        warm_start_std: float = 1.0,
+    ) -> VisualMPC: ...
+    @property
+    def horizon(self) -> int: ...
+    @property
+    def samples(self) -> int: ...
+    @property
+    def elites(self) -> int: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def min_variance(self) -> float: ...
+    @property
+    def action_repeat(self) -> int: ...
+    @property
+    def initial(self) -> str: ...
+    @property
+    def initial_low(self) -> list[float] | None: ...
+    @property
+    def initial_high(self) -> list[float] | None: ...
+    @property
+    def initial_mean(self) -> float: ...
+    @property
+    def initial_std(self) -> float: ...
+    @property
+    def keep_elites(self) -> int: ...
+    @property
+    def warm_start_std(self) -> float: ...
+    def plan(
+        self,
+        model: Any,
+        start: Any,
+        goal: Any,
+        seed: SupportsIndex = 0,
+        warm_start: Plan | ArrayLike | None = None,
+    ) -> Plan:
+        """Find actions that lead from ``start`` to ``goal``.
+
+        Args:
+            model: A world of this module, an object whose ``native`` is one, or any object with
+                the methods of ``hvf.protocols.WorldModel``.
+            start: One uint8 image ``[height, width, 3]`` (which goes through the model's
+                ``observe``, if it has one) or one frame of the model, ``[1]``.
+            goal: The same for the goal.
+            seed: From 0 to 2**64 - 1. The same seed gives the same plan to the last bit, with
+                any number of threads, alone or in a batch.
+            warm_start: The last plan, as it was before its first action was taken: the search
+                starts from a Gaussian around the rest of it. A :class:`Plan` or float actions
+                ``[H, A]``.
+
+        Raises:
+            ValueError: An argument does not fit, or the model answered with the wrong shape or
+                with NaN only; the message names the argument or the model's method.
+            TypeError: An argument is of the wrong kind, or the model lacks a method.
+            KeyboardInterrupt: Ctrl-C, within a second. What a model raises comes back as it is.
+        """
+
+    def plan_batch(
+        self,
+        model: Any,
+        starts: Any,
+        goals: Any,
+        seeds: SupportsIndex | Sequence[SupportsIndex] | NDArray[np.integer] | None = None,
+        warm_start: Plans | ArrayLike | None = None,
+    ) -> Plans:
+        """Solve ``B`` problems together: as :meth:`plan` one by one, to the last bit.
+
+        Args:
+            model: As for :meth:`plan`.
+            starts: Uint8 images ``[B, height, width, 3]`` or frames of the model, ``[B]``; or one,
+                for all goals.
+            goals: Images or frames, ``[B]``.
+            seeds: One seed for all, one for each ``[B]``, or ``None`` for 0. Problems with one
+                start and one seed share their first iteration's rollouts where the model can.
+            warm_start: The last plans: :class:`Plans` or float actions ``[B, H, A]``.
+
+        Raises:
+            As :meth:`plan`.
+        """
+
+@final
+class Plan:
+    """The best actions found for one problem."""
+
+    @property
+    def actions(self) -> NDArray[np.float32]:
+        """Actions, float32 ``[H, A]``."""
+
+    @property
+    def cost(self) -> float:
+        """Predicted cost of these actions: the lowest of all iterations."""
+
+    @property
+    def iterations(self) -> int:
+        """Iterations that were run (``I``)."""
+
+    @property
+    def history(self) -> dict[str, NDArray[np.float32]]:
+        """Costs of every iteration, float32 ``[I]`` each.
+
+        ``best``, ``elite_mean`` and ``elite_worst`` of the elites, ``population_mean`` of all
+        finite costs, and ``max_std``, the largest deviation of the refitted Gaussian.
+        """
+
+@final
+class Plans:
+    """The best actions found for every problem of a batch; ``plans[b]`` is a :class:`Plan`."""
+
+    @property
+    def actions(self) -> NDArray[np.float32]:
+        """Actions, float32 ``[B, H, A]``."""
+
+    @property
+    def costs(self) -> NDArray[np.float32]:
+        """Predicted costs, float32 ``[B]``."""
+
+    @property
+    def iterations(self) -> NDArray[np.int64]:
+        """Iterations that each problem ran, int64 ``[B]``."""
+
+    @property
+    def history(self) -> dict[str, NDArray[np.float32]]:
+        """As :attr:`Plan.history`, float32 ``[B, I]`` each; NaN after a problem was done."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int, /) -> Plan: ...
+
+@final
+class HVF:
+    """Hierarchical visual foresight: the search for subgoal images.
+
+    The cross-entropy method over the latents of ``subgoals`` images, from a standard normal. A
+    sample costs what the hardest of its ``subgoals + 1`` segments costs to plan with ``mpc``
+    (paper, section 4 and algorithm 2). Objects are immutable, compare by value, and can be copied
+    and pickled.
+
+    Args:
+        mpc: How a segment is planned; ``None`` for ``VisualMPC()``.
+        subgoals: Number of subgoals (``K``); 0 plans to the goal directly.
+        samples: Samples per iteration (``M``).
+        elites: Samples that the distribution is refitted to (``M*``), at most ``samples``.
+        iterations: Most iterations.
+        min_variance: Variance below which the search is done, in squared units of a latent.
+        reduction: Cost of a sample from those of its segments: ``"max"`` or ``"mean"``.
+        keep_elites: Best samples that compete again in the next iteration, with the cost they had.
+        prune: Complete samples in the order of their first segment's cost, and drop those whose
+            worst segment exceeds the ``elites``-th best complete sample. Changes nothing but the
+            time, and what ``population_mean`` is over. Only with ``"max"``.
+        share_rollouts: Share the first iteration's rollouts of all first segments where the model
+            can (``shared_rollout_costs``). Changes nothing but the time.
+
+    Raises:
+        ValueError: An argument is out of range; the message names it.
+        TypeError: An argument has the wrong type.
+    """
+
+    def __new__(
+        cls,
+        *,
+        mpc: VisualMPC | None = None,
+        subgoals: SupportsIndex = 2,
+        samples: SupportsIndex = 200,
+        elites: SupportsIndex = 40,
+        iterations: SupportsIndex = 5,
+        min_variance: float = 1e-3,
+        reduction: Literal["max", "mean"] = "max",
+        keep_elites: SupportsIndex = 0,
+        prune: bool = True,
+        share_rollouts: bool = True,
+    ) -> HVF: ...
+    @property
+    def mpc(self) -> VisualMPC: ...
+    @property
+    def subgoals(self) -> int: ...
+    @property
+    def samples(self) -> int: ...
+    @property
+    def elites(self) -> int: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def min_variance(self) -> float: ...
+    @property
+    def reduction(self) -> str: ...
+    @property
+    def keep_elites(self) -> int: ...
+    @property
+    def prune(self) -> bool: ...
+    @property
+    def share_rollouts(self) -> bool: ...
+    def search(
+        self, model: Any, generator: Any, start: Any, goal: Any, seed: SupportsIndex = 0
+    ) -> SearchResult:
+        """Search for subgoals between ``start`` and ``goal``.
+
+        Args:
+            model: The world, as for :meth:`VisualMPC.plan`.
+            generator: An object with the methods of ``hvf.protocols.SubgoalModel``; may be
+                ``None`` for ``subgoals=0``.
+            start: One uint8 image ``[height, width, 3]`` or one frame of the model, ``[1]``.
+            goal: The same for the goal.
+            seed: From 0 to 2**64 - 1. The same seed gives the same result to the last bit, with
+                any number of threads, and with ``prune`` and ``share_rollouts`` on or off.
+
+        Raises:
+            As :meth:`VisualMPC.plan`.
+        """
+
+    def search_batch(
+        self,
+        model: Any,
+        generator: Any,
+        starts: Any,
+        goals: Any,
+        seeds: SupportsIndex | Sequence[SupportsIndex] | NDArray[np.integer] | None = None,
+    ) -> list[SearchResult]:
+        """Search for ``B`` pairs of start and goal: as :meth:`search` one by one.
+
+        Args:
+            model: As for :meth:`search`.
+            generator: As for :meth:`search`.
+            starts: Uint8 images ``[B, height, width, 3]`` or frames of the model, ``[B]``; or one,
+                for all goals.
+            goals: Images or frames, ``[B]``.
+            seeds: One seed for all, one for each ``[B]``, or ``None`` for 0.
+
+        Raises:
+            As :meth:`search`.
+        """
+
+@final
+class SearchResult:
+    """What the subgoal search found."""
+
+    @property
+    def subgoals(self) -> Any:
+        """Subgoals in the order to reach them: frames of the model, ``[K]``."""
+
+    @property
+    def latents(self) -> NDArray[np.float32]:
+        """Their latents, float32 ``[K, L]``."""
+
+    @property
+    def cost(self) -> float:
+        """Cost of the sample: the maximum (or mean) of ``segment_costs``."""
+
+    @property
+    def segment_costs(self) -> NDArray[np.float32]:
+        """Planning cost of every segment, float32 ``[K + 1]``."""
+
+    @property
+    def plans(self) -> Plans:
+        """Best plan of every segment, ``K + 1``."""
+
+    @property
+    def iterations(self) -> int:
+        """Iterations that were run (``I``); 0 without subgoals."""
+
+    @property
+    def history(self) -> dict[str, NDArray[np.float32] | NDArray[np.int64]]:
+        """Figures of every iteration, ``[I]`` each.
+
+        Those of :attr:`Plan.history` over the samples (``population_mean``: the completed ones)
+        and the planning problems ``evaluated`` and ``skipped``, int64.
+        """
