@@ -1,0 +1,17 @@
+"""``hvf collect``: data from random interaction."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import tyro
+
+from hvf.data.collect import CollectConfig, collect_maze
+
+
+def maze(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
+    """Collect episodes of the maze under uniformly random actions into one HDF5 file.
+
+    Ctrl-C stops; the same command goes on from there.
+    """
+    collect_maze(config)

@@ -1,0 +1,26 @@
+"""``hvf train``: models from collected data."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import tyro
+
+from hvf.training.dynamics import DynamicsTraining, train_dynamics
+from hvf.training.subgoals import SubgoalTraining, train_subgoals
+
+
+def dynamics(config: Annotated[DynamicsTraining, tyro.conf.arg(name="")]) -> None:
+    """Train the compact dynamics model of the maze.
+
+    Ctrl-C stops; the same command goes on from there.
+    """
+    train_dynamics(config)
+
+
+def subgoals(config: Annotated[SubgoalTraining, tyro.conf.arg(name="")]) -> None:
+    """Train the conditional variational autoencoder that draws subgoal images of the maze.
+
+    Ctrl-C stops; the same command goes on from there.
+    """
+    train_subgoals(config)
