@@ -8,14 +8,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import hvf_core
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from rich.console import Console
 
+import hvf_core
 from hvf.data.loader import EpisodePool, PairSampler
-from hvf.models.cvae import CVAE, CVAEConfig, gaussian_kl, to_frames, to_unit
+from hvf.models.cvae import CVAE, CVAEConfig, gaussian_kl
+from hvf.models.frames import to_frames, to_unit
 from hvf.training.loop import LoopConfig, Validation, seeded, train
 from hvf.training.pictures import frame_grid
 
