@@ -5,6 +5,7 @@ mod costs;
 mod error;
 mod keypoint;
 mod maze;
+mod maze_world;
 mod planner;
 
 use pyo3::prelude::*;
@@ -16,6 +17,7 @@ fn hvf_core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     costs::register(module)?;
     keypoint::register(module)?;
     maze::register(module)?;
+    maze_world::register(module)?;
     planner::register(module)?;
     Ok(())
 }

@@ -39,7 +39,8 @@ fn rows<const C: usize>(argument: &str, array: &Bound<'_, PyAny>) -> PyResult<Ve
     }
 }
 
-fn states(argument: &str, array: &Bound<'_, PyAny>) -> PyResult<Vec<State>> {
+/// States `[N, 4]`, rows `(x, y, w1, w2)`.
+pub fn states(argument: &str, array: &Bound<'_, PyAny>) -> PyResult<Vec<State>> {
     let rows = rows::<4>(argument, array)?;
     rows.into_iter()
         .enumerate()

@@ -9,3 +9,5 @@ pub use all_pairs::all_pairs_costs;
 pub use blur::{BlurScratch, GaussianBlur};
 pub use l2::{paired_costs, Pixel};
 pub use over_horizon::OverHorizon;
+
+pub(crate) use l2::{squared_distance_u8, squared_norm_f32};

@@ -1,6 +1,7 @@
 //! Where frames cross between Python and a world model, native or written in Python.
 
 use hvf_core_rs::keypoint::KeypointWorld;
+use hvf_core_rs::maze::{MazeFrames, MazeWorld};
 use hvf_core_rs::planner::{SubgoalModel, WorldModel};
 use hvf_core_rs::{Error, Result};
 use ndarray::Array3;
@@ -14,6 +15,7 @@ use super::arguments::describe;
 use super::raised;
 use crate::error::to_py;
 use crate::keypoint::{PyKeypointFrames, PyKeypointWorld};
+use crate::maze_world::{PyMazeFrames, PyMazeWorld};
 
 /// A world model with the way its frames come from Python and go back.
 pub trait Border: Sync {
@@ -79,6 +81,21 @@ impl NativeClass for PyKeypointWorld {
     }
 }
 
+impl NativeClass for PyMazeWorld {
+    type World = MazeWorld;
+    type Frames = PyMazeFrames;
+
+    fn world(&self) -> &MazeWorld {
+        &self.inner
+    }
+    fn unwrap(frames: &PyMazeFrames) -> &MazeFrames {
+        &frames.inner
+    }
+    fn wrap(inner: MazeFrames) -> PyMazeFrames {
+        PyMazeFrames { inner }
+    }
+}
+
 /// A native world: planned with without the GIL.
 pub struct Native<N: NativeClass> {
     native: Py<N>,
@@ -132,6 +149,11 @@ impl<N: NativeClass> Border for Native<N> {
     fn write<'py>(&self, py: Python<'py>, frames: FramesOf<Self>) -> PyResult<Bound<'py, PyAny>> {
         Ok(Bound::new(py, N::wrap(frames))?.into_any())
     }
+}
+
+/// Whether an object is the frames of a native world.
+pub fn is_native_frames(object: &Bound<'_, PyAny>) -> bool {
+    object.is_instance_of::<PyMazeFrames>() || object.is_instance_of::<PyKeypointFrames>()
 }
 
 /// The uint8 images `[N, H, W, 3]` in an object: an array of them, one image `[H, W, 3]`, or the
@@ -213,6 +235,9 @@ macro_rules! with_border {
         let model: &pyo3::Bound<'_, pyo3::PyAny> = $model;
         let native = $crate::planner::border::native_of(model)?;
         if let Ok(world) = native.cast::<$crate::keypoint::PyKeypointWorld>() {
+            let $border = $crate::planner::border::Native::new(world, model);
+            $body
+        } else if let Ok(world) = native.cast::<$crate::maze_world::PyMazeWorld>() {
             let $border = $crate::planner::border::Native::new(world, model);
             $body
         } else {

@@ -1,0 +1,359 @@
+//! The pixel cost of frames that differ from their scene only where the agent is, in closed form.
+//!
+//! # How it works
+//! A frame is its scene `b` plus a small patch `p` (the agent; at most 6 x 6 pixels of 64 x 64).
+//! With `d = b - goal` its squared distance to the goal is
+//!
+//! ```text
+//! |d + p|^2 = |d|^2 + 2 d.p + |p|^2                   exact, in integers
+//! |G(d + p)|^2 = |G d|^2 + 2 (G'G d).p + p.(G'G p)    after the blur G
+//! ```
+//!
+//! `d` and what depends on it alone are worked out once per start and goal ([`GoalTerms`]), what
+//! depends on `p` alone once per rollout ([`Patch`]), so a candidate costs a hundred
+//! multiplications instead of a frame. The blur is separable, hence so is its Gram matrix `G'G`:
+//! one `[size, size]` matrix on each axis.
+
+use multiversion::multiversion;
+
+use super::geometry::{State, AGENT_HALF};
+use super::render::{Renderer, VIEW};
+use crate::image::{squared_distance_u8, squared_norm_f32, GaussianBlur};
+
+/// Rows of patches are filled up to whole vectors of this many values.
+const LANES: usize = 8;
+
+/// Scores agents against goals, for one size of image and blur.
+#[derive(Clone, Debug)]
+pub(super) struct AgentCost {
+    size: usize,
+    /// Most pixels that the agent covers on one axis.
+    reach: usize,
+    blur: Option<Blurred>,
+}
+
+#[derive(Clone, Debug)]
+struct Blurred {
+    blur: GaussianBlur,
+    /// `G'G` of one axis, `[size]` rows of `stride`, zeros beyond `size`.
+    gram: Vec<f32>,
+    /// `size`, filled up so that a patch at the right border can be read beyond it.
+    stride: usize,
+    /// Rows and columns further apart than this do not meet in `gram`.
+    band: usize,
+}
+
+/// What is common to all candidates with one start scene and one goal.
+pub(super) enum GoalTerms {
+    /// `|d|^2` and `d`, interleaved channels, a row of a patch longer than the image.
+    Sharp { base: i64, residual: Vec<i16> },
+    /// `|G d|^2` and `G'G d`, one plane a channel.
+    Blurred { base: f64, slope: [Vec<f32>; 3] },
+}
+
+/// The agent in a frame: what it changes about the scene, and the cost of that alone.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Patch {
+    top: usize,
+    left: usize,
+    rows: usize,
+    /// Change of colour, rows of `3 * reach` values filled up with zeros.
+    change: Vec<i16>,
+    /// The same as planes, for blurred costs.
+    planes: [Vec<f32>; 3],
+    /// `|p|^2`, or `p.(G'G p)`.
+    own: f64,
+}
+
+impl AgentCost {
+    /// For frames of `size` pixels.
+    pub fn new(size: usize, blur: Option<GaussianBlur>) -> Self {
+        let pixels = size as f64 * AGENT_HALF / VIEW;
+        let reach = pixels.ceil() as usize + 1;
+        let blur = blur.map(|blur| {
+            let (stride, matrix) = (size + reach.next_multiple_of(LANES), blur.matrix(size));
+            let mut gram = vec![0.0; size * stride];
+            for i in 0..size {
+                for j in 0..size {
+                    let sum: f64 =
+                        (0..size).map(|k| matrix[k * size + i] * matrix[k * size + j]).sum();
+                    gram[i * stride + j] = sum as f32;
+                }
+            }
+            Blurred { band: 2 * blur.radius(), blur, gram, stride }
+        });
+        Self { size, reach, blur }
+    }
+
+    /// Values of a row of [`Patch::change`].
+    fn change_stride(&self) -> usize {
+        (3 * self.reach).next_multiple_of(LANES)
+    }
+
+    /// Values of a row of [`Patch::planes`].
+    fn plane_stride(&self) -> usize {
+        self.reach.next_multiple_of(LANES)
+    }
+
+    /// What the agent of `state` changes about `scene`, the image of its scene.
+    pub fn patch(&self, renderer: &Renderer, scene: &[u8], state: &State, patch: &mut Patch) {
+        let (stride, size) = (self.change_stride(), self.size);
+        patch.change.clear();
+        let mut row_end = 0;
+        renderer.render_agent(state, |pixel, colour| {
+            if patch.change.is_empty() {
+                (patch.top, patch.left) = (pixel / size, pixel % size);
+                row_end = (patch.top + 1) * size;
+                patch.change.resize(stride, 0);
+            }
+            while pixel >= row_end {
+                row_end += size;
+                patch.change.resize(patch.change.len() + stride, 0);
+            }
+            let column = pixel + size - row_end - patch.left;
+            let at = patch.change.len() - stride + 3 * column;
+            for channel in 0..3 {
+                patch.change[at + channel] =
+                    i16::from(colour[channel]) - i16::from(scene[3 * pixel + channel]);
+            }
+        });
+        patch.rows = patch.change.len() / stride;
+        match &self.blur {
+            None => patch.own = inner_integers(&patch.change, stride, &patch.change, stride) as f64,
+            Some(blurred) => {
+                let plane_stride = self.plane_stride();
+                for (channel, plane) in patch.planes.iter_mut().enumerate() {
+                    plane.clear();
+                    plane.resize(patch.rows * plane_stride, 0.0);
+                    let rows = plane.chunks_exact_mut(plane_stride);
+                    for (row, change) in rows.zip(patch.change.chunks_exact(stride)) {
+                        for (value, change) in
+                            row.iter_mut().zip(change[channel..].iter().step_by(3))
+                        {
+                            *value = f32::from(*change);
+                        }
+                    }
+                }
+                let planes = patch.planes.each_ref().map(Vec::as_slice);
+                let (top, left) = (patch.top, patch.left);
+                let own = quadratic(planes, plane_stride, &blurred.gram, blurred.stride, top, left);
+                patch.own = f64::from(own);
+            }
+        }
+    }
+
+    /// What candidates in the scene of image `scene` and with goal image `goal` have in common.
+    pub fn goal_terms(&self, scene: &[u8], goal: &[u8]) -> GoalTerms {
+        match &self.blur {
+            None => {
+                let mut residual = Vec::with_capacity(scene.len() + self.change_stride());
+                residual.extend(scene.iter().zip(goal).map(|(&b, &g)| i16::from(b) - i16::from(g)));
+                residual.resize(scene.len() + self.change_stride(), 0);
+                GoalTerms::Sharp { base: squared_distance_u8(scene, goal) as i64, residual }
+            }
+            Some(blurred) => {
+                let (rows, columns) = differing_box(scene, goal, self.size);
+                // A rendered goal differs from its scene only where the agent is.
+                if 8 * rows.len() * columns.len() <= self.size * self.size {
+                    blurred.terms_of_box(scene, goal, self.size, rows, columns)
+                } else {
+                    blurred.terms(scene, goal, self.size)
+                }
+            }
+        }
+    }
+
+    /// Cost per pixel of the frame with this patch.
+    pub fn cost(&self, terms: &GoalTerms, patch: &Patch) -> f32 {
+        let pixels = (self.size * self.size) as f64;
+        let sum = match (terms, &self.blur) {
+            (GoalTerms::Sharp { base, residual }, _) => {
+                let at = 3 * (patch.top * self.size + patch.left);
+                let stride = self.change_stride();
+                let cross = inner_integers(&patch.change, stride, &residual[at..], 3 * self.size);
+                (base + 2 * cross + patch.own as i64) as f64
+            }
+            (GoalTerms::Blurred { base, slope }, Some(blurred)) => {
+                let at = patch.top * blurred.stride + patch.left;
+                let (plane, stride) = (self.plane_stride(), blurred.stride);
+                let cross: f32 = (0..3)
+                    .map(|c| inner_floats(&patch.planes[c], plane, &slope[c][at..], stride))
+                    .sum();
+                (base + 2.0 * f64::from(cross) + patch.own).max(0.0)
+            }
+            (GoalTerms::Blurred { .. }, None) => f64::NAN,
+        };
+        (sum / (255.0 * 255.0 * pixels)) as f32
+    }
+}
+
+impl Blurred {
+    /// Terms for any goal: two blurs of the difference (the blur's matrix is symmetric).
+    fn terms(&self, scene: &[u8], goal: &[u8], size: usize) -> GoalTerms {
+        let mut scratch = self.blur.scratch(size, size, 1);
+        let mut base = 0.0;
+        let slope = std::array::from_fn(|channel| {
+            let values = scene.iter().zip(goal).skip(channel).step_by(3);
+            let mut plane: Vec<f32> =
+                values.map(|(&b, &g)| f32::from(i16::from(b) - i16::from(g))).collect();
+            self.blur.apply(&mut plane, size, size, 1, &mut scratch);
+            base += squared_norm_f32(&plane);
+            self.blur.apply(&mut plane, size, size, 1, &mut scratch);
+            let mut slope = vec![0.0; size * self.stride];
+            for (wide, row) in slope.chunks_exact_mut(self.stride).zip(plane.chunks_exact(size)) {
+                wide[..size].copy_from_slice(row);
+            }
+            slope
+        });
+        GoalTerms::Blurred { base, slope }
+    }
+
+    /// The same where the difference is confined to a box.
+    fn terms_of_box(
+        &self,
+        scene: &[u8],
+        goal: &[u8],
+        size: usize,
+        rows: std::ops::Range<usize>,
+        columns: std::ops::Range<usize>,
+    ) -> GoalTerms {
+        let mut base = 0.0;
+        let slope = std::array::from_fn(|channel| {
+            let difference = |row: usize, column: usize| {
+                let at = 3 * (row * size + column) + channel;
+                f32::from(i16::from(scene[at]) - i16::from(goal[at]))
+            };
+            let mut slope = vec![0.0; size * self.stride];
+            let near = rows.start.saturating_sub(self.band)..(rows.end + self.band).min(size);
+            let mut across = vec![0.0; self.stride];
+            for row in rows.clone() {
+                across.fill(0.0);
+                for column in columns.clone() {
+                    let gram = &self.gram[column * self.stride..][..self.stride];
+                    add_scaled(&mut across, difference(row, column), gram);
+                }
+                for to in near.clone() {
+                    let weight = self.gram[to * self.stride + row];
+                    add_scaled(&mut slope[to * self.stride..][..self.stride], weight, &across);
+                }
+            }
+            for row in rows.clone() {
+                for column in columns.clone() {
+                    let slope = slope[row * self.stride + column];
+                    base += f64::from(difference(row, column)) * f64::from(slope);
+                }
+            }
+            slope
+        });
+        GoalTerms::Blurred { base: f64::max(base, 0.0), slope }
+    }
+}
+
+/// The smallest box of rows and columns outside of which two images `[size, size, 3]` agree.
+fn differing_box(
+    a: &[u8],
+    b: &[u8],
+    size: usize,
+) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+    let row = |y: usize| 3 * y * size..3 * (y + 1) * size;
+    let differ = |y: &usize| a[row(*y)] != b[row(*y)];
+    let Some(first) = (0..size).find(differ) else {
+        return (0..0, 0..0);
+    };
+    let last = (0..size).rev().find(differ).unwrap_or(first);
+    let (mut left, mut right) = (size, 0);
+    for y in first..=last {
+        let (a, b) = (a[row(y)].chunks_exact(3), b[row(y)].chunks_exact(3));
+        for (x, (a, b)) in a.zip(b).enumerate() {
+            if a != b {
+                left = left.min(x);
+                right = right.max(x + 1);
+            }
+        }
+    }
+    (first..last + 1, left..right)
+}
+
+/// Inner product of the rows of `patch`, of `stride` values each, with `other` read every
+/// `other_stride` values.
+#[multiversion(targets("x86_64+avx2"))]
+fn inner_integers(patch: &[i16], stride: usize, other: &[i16], other_stride: usize) -> i64 {
+    let mut sum = 0;
+    for (row, patch) in patch.chunks_exact(stride).enumerate() {
+        let (patch, _) = patch.as_chunks::<LANES>();
+        let (other, _) = other[row * other_stride..][..stride].as_chunks::<LANES>();
+        let mut lanes = [0_i32; LANES];
+        for (p, o) in patch.iter().zip(other) {
+            for lane in 0..LANES {
+                lanes[lane] += i32::from(p[lane]) * i32::from(o[lane]);
+            }
+        }
+        sum += i64::from(lanes.iter().sum::<i32>());
+    }
+    sum
+}
+
+/// [`inner_integers`] of floats; the order of additions is fixed.
+#[multiversion(targets("x86_64+avx2"))]
+fn inner_floats(patch: &[f32], stride: usize, other: &[f32], other_stride: usize) -> f32 {
+    let mut lanes = [0.0_f32; LANES];
+    for (row, patch) in patch.chunks_exact(stride).enumerate() {
+        let (patch, _) = patch.as_chunks::<LANES>();
+        let (other, _) = other[row * other_stride..][..stride].as_chunks::<LANES>();
+        for (p, o) in patch.iter().zip(other) {
+            for lane in 0..LANES {
+                lanes[lane] += p[lane] * o[lane];
+            }
+        }
+    }
+    lanes.iter().sum()
+}
+
+/// `p.(G'G p)` over three planes: `sum((V p) * (p H))` with the Gram matrices `V` of the rows and
+/// `H` of the columns that the patch at (`top`, `left`) covers.
+#[multiversion(targets("x86_64+avx2"))]
+fn quadratic(
+    planes: [&[f32]; 3],
+    stride: usize,
+    gram: &[f32],
+    gram_stride: usize,
+    top: usize,
+    left: usize,
+) -> f32 {
+    let columns = stride.min(gram.len() / gram_stride - left);
+    let mut lanes = [0.0_f32; LANES];
+    for plane in planes {
+        let rows = plane.len() / stride;
+        for block in (0..stride).step_by(LANES) {
+            for row in 0..rows {
+                let mut down = [0.0_f32; LANES];
+                for other in 0..rows {
+                    let weight = gram[(top + row) * gram_stride + top + other];
+                    let values = &plane[other * stride + block..][..LANES];
+                    for lane in 0..LANES {
+                        down[lane] += weight * values[lane];
+                    }
+                }
+                let mut across = [0.0_f32; LANES];
+                for column in 0..columns {
+                    let value = plane[row * stride + column];
+                    let weights = &gram[(left + column) * gram_stride + left + block..][..LANES];
+                    for lane in 0..LANES {
+                        across[lane] += value * weights[lane];
+                    }
+                }
+                for lane in 0..LANES {
+                    lanes[lane] += down[lane] * across[lane];
+                }
+            }
+        }
+    }
+    lanes.iter().sum()
+}
+
+#[multiversion(targets("x86_64+avx2"))]
+fn add_scaled(sum: &mut [f32], factor: f32, values: &[f32]) {
+    for (sum, &value) in sum.iter_mut().zip(values) {
+        *sum += factor * value;
+    }
+}

@@ -1,0 +1,368 @@
+//! The maze's true simulator as a world model: `MazeWorld`, `MazeFrames`, `MazeSubgoals`.
+
+use hvf_core_rs::image::OverHorizon;
+use hvf_core_rs::maze::{MazeFrames, MazeSubgoals, MazeWorld, MazeWorldConfig, Renderer};
+use hvf_core_rs::planner::{Frames, SubgoalModel, WorldModel};
+use hvf_core_rs::Error;
+use ndarray::{Array, Array2, Array3, Array4, Dimension, Ix1, Ix3, Ix4};
+use numpy::{
+    AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayLikeDyn,
+    PyReadonlyArray4, PyUntypedArray, PyUntypedArrayMethods,
+};
+use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
+use pyo3::intern;
+use pyo3::prelude::*;
+
+use crate::error::to_py;
+
+/// Frames of the maze: states, with the images they were read off where there are any.
+///
+/// `MazeFrames(states)` takes float64 `[N, 4]`, rows `(x, y, w1, w2)`; its images are drawn where
+/// they are needed, with `image_size` pixels. `MazeWorld.observe` makes frames of images.
+#[pyclass(name = "MazeFrames", module = "hvf_core", frozen)]
+pub struct PyMazeFrames {
+    /// The frames.
+    pub inner: MazeFrames,
+}
+
+#[pymethods]
+impl PyMazeFrames {
+    #[new]
+    #[pyo3(signature = (states, image_size = 64))]
+    fn new(states: &Bound<'_, PyAny>, image_size: usize) -> PyResult<Self> {
+        Renderer::new(image_size)
+            .map_err(|error| PyValueError::new_err(format!("image_size: {error}")))?;
+        let states = crate::maze::states("states", states)?;
+        Ok(Self { inner: MazeFrames::from_states(states, image_size) })
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.len()
+    }
+
+    /// The frames at `index`: an integer (one frame, still a batch) or an integer array.
+    fn __getitem__(&self, index: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let complaint = || PyTypeError::new_err("index: expected an integer or an int64 array");
+        let index: Vec<i64> = if let Ok(one) = index.extract::<i64>() {
+            vec![one]
+        } else {
+            let many: PyArrayLikeDyn<'_, i64> = index.extract().map_err(|_| complaint())?;
+            let many = many.as_array().to_owned();
+            many.into_dimensionality::<Ix1>().map_err(|_| complaint())?.to_vec()
+        };
+        let count = self.inner.len() as i64;
+        let picked = index
+            .into_iter()
+            .map(|i| match i {
+                0.. if i < count => Ok(i as usize),
+                ..0 if i >= -count => Ok((i + count) as usize),
+                _ => Err(PyIndexError::new_err(format!("index {i} is beyond {count} frames"))),
+            })
+            .collect::<PyResult<Vec<usize>>>()?;
+        Ok(Self { inner: self.inner.select(&picked).map_err(to_py)? })
+    }
+
+    /// States, float64 `[N, 4]`, rows `(x, y, w1, w2)` (a copy).
+    #[getter]
+    fn states<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let rows: Vec<[f64; 4]> =
+            (0..self.inner.len()).map(|i| self.inner.state(i).to_row()).collect();
+        Array2::from_shape_fn((rows.len(), 4), |(i, column)| rows[i][column]).into_pyarray(py)
+    }
+
+    /// Images, uint8 `[N, S, S, 3]` (a copy): those that were observed, or else drawn.
+    #[getter]
+    fn images<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
+        let (count, size) = (self.inner.len(), self.inner.image_size());
+        let bytes = py.detach(|| {
+            let renderer = Renderer::new(size)?;
+            let mut bytes = Vec::with_capacity(count * renderer.frame_len());
+            for i in 0..count {
+                bytes.extend_from_slice(&self.inner.image(&renderer, i)?);
+            }
+            Ok(bytes)
+        });
+        let images = Array4::from_shape_vec((count, size, size, 3), bytes.map_err(to_py)?);
+        Ok(images.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
+    }
+
+    /// Height and width of the images, pixels.
+    #[getter]
+    fn image_size(&self) -> usize {
+        self.inner.image_size()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("MazeFrames({} frames of {} pixels)", self.inner.len(), self.inner.image_size())
+    }
+}
+
+/// The maze's true simulator as a world model.
+///
+/// The planning cost is the pixel cost (`image_cost`) between the frame that simulator and
+/// renderer would give and the goal image, computed without drawing it. `blur` is the standard
+/// deviation, in pixels, of a Gaussian blur of both; `over_horizon` says which predicted frames
+/// count: 'last', 'sum' or 'min'. The planners use it without the GIL.
+#[pyclass(name = "MazeWorld", module = "hvf_core", frozen)]
+pub struct PyMazeWorld {
+    /// The world.
+    pub inner: MazeWorld,
+}
+
+#[pymethods]
+impl PyMazeWorld {
+    #[new]
+    #[pyo3(signature = (image_size = 64, blur = 0.0, over_horizon = "last"))]
+    fn new(image_size: usize, blur: f64, over_horizon: &str) -> PyResult<Self> {
+        let over_horizon = OverHorizon::from_name(over_horizon).map_err(to_py)?;
+        let config = MazeWorldConfig { image_size, blur, over_horizon };
+        Ok(Self { inner: MazeWorld::new(config).map_err(to_py)? })
+    }
+
+    /// Lowest action, float32 `[2]`.
+    #[getter]
+    fn action_low<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        PyArray1::from_slice(py, self.inner.action_space().low())
+    }
+
+    /// Highest action, float32 `[2]`.
+    #[getter]
+    fn action_high<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        PyArray1::from_slice(py, self.inner.action_space().high())
+    }
+
+    /// Height and width of the images, pixels.
+    #[getter]
+    fn image_size(&self) -> usize {
+        self.inner.config().image_size
+    }
+
+    /// Standard deviation of the blur, pixels.
+    #[getter]
+    fn blur(&self) -> f64 {
+        self.inner.config().blur
+    }
+
+    /// Which predicted frames count.
+    #[getter]
+    fn over_horizon(&self) -> &'static str {
+        self.inner.config().over_horizon.name()
+    }
+
+    /// Frames of images uint8 `[N, S, S, 3]`; where a rollout starts is read off them.
+    ///
+    /// Raises ValueError for images of another size, TypeError for what is not uint8.
+    fn observe(&self, py: Python<'_>, images: &Bound<'_, PyAny>) -> PyResult<PyMazeFrames> {
+        let images = self.images("images", images)?;
+        let images = images.as_array();
+        let inner = py.detach(|| {
+            let standard = images.as_standard_layout();
+            self.inner.observe(standard.as_slice().unwrap_or_default())
+        });
+        Ok(PyMazeFrames { inner: inner.map_err(to_py)? })
+    }
+
+    /// Planning costs float32 `[B, D]` of `actions [B, D, H, 2]` from `starts` to `goals`, B
+    /// frames each (`MazeFrames` or uint8 images).
+    ///
+    /// Raises ValueError for other shapes or actions that are not finite.
+    fn rollout_costs<'py>(
+        &self,
+        py: Python<'py>,
+        starts: &Bound<'py, PyAny>,
+        goals: &Bound<'py, PyAny>,
+        actions: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let starts = self.frames(py, "starts", starts)?;
+        let goals = self.frames(py, "goals", goals)?;
+        let actions = floats::<Ix4>("actions", "[B, D, H, 2]", actions)?;
+        let costs = py.detach(|| self.inner.rollout_costs(&starts, &goals, actions));
+        Ok(costs.map_err(to_py)?.into_pyarray(py))
+    }
+
+    /// The same costs where all problems have one start and one set of candidates: float32
+    /// `[B, D]` of `actions [D, H, 2]` from `start` (one frame) to B `goals`.
+    fn shared_rollout_costs<'py>(
+        &self,
+        py: Python<'py>,
+        start: &Bound<'py, PyAny>,
+        goals: &Bound<'py, PyAny>,
+        actions: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let start = self.frames(py, "start", start)?;
+        let goals = self.frames(py, "goals", goals)?;
+        let actions = floats::<Ix3>("actions", "[D, H, 2]", actions)?;
+        let costs = py.detach(|| {
+            self.inner
+                .shared_rollout_costs(&start, &goals, actions)
+                .unwrap_or_else(|| Err(Error::Model("cannot share rollouts".into())))
+        });
+        Ok(costs.map_err(to_py)?.into_pyarray(py))
+    }
+
+    /// States float64 `[D, H, 4]` that `actions [D, H, 2]` lead through from `start`, one frame.
+    fn rollout<'py>(
+        &self,
+        py: Python<'py>,
+        start: &Bound<'py, PyAny>,
+        actions: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let start = self.frames(py, "start", start)?;
+        if start.len() != 1 {
+            let problem = format!("start: must be one frame, got {}", start.len());
+            return Err(PyValueError::new_err(problem));
+        }
+        let actions = floats::<Ix3>("actions", "[D, H, 2]", actions)?;
+        let states = py.detach(|| self.inner.rollout(start.state(0), actions.view()));
+        let rows = states.map_err(to_py)?.mapv(|state| state.to_row());
+        let (d, h) = rows.dim();
+        let columns = |(d, h, column): (usize, usize, usize)| rows[[d, h]][column];
+        Ok(Array3::from_shape_fn((d, h, 4), columns).into_pyarray(py))
+    }
+
+    fn __repr__(&self) -> String {
+        let MazeWorldConfig { image_size, blur, over_horizon } = self.inner.config();
+        let name = over_horizon.name();
+        format!("MazeWorld(image_size={image_size}, blur={blur:?}, over_horizon='{name}')")
+    }
+}
+
+impl PyMazeWorld {
+    /// Images of this world's size.
+    fn images<'py>(
+        &self,
+        argument: &str,
+        object: &Bound<'py, PyAny>,
+    ) -> PyResult<PyReadonlyArray4<'py, u8>> {
+        let size = self.inner.config().image_size;
+        images_of_size(argument, object, size)
+    }
+
+    fn frames(
+        &self,
+        py: Python<'_>,
+        argument: &str,
+        object: &Bound<'_, PyAny>,
+    ) -> PyResult<MazeFrames> {
+        if let Ok(frames) = object.cast::<PyMazeFrames>() {
+            return Ok(frames.get().inner.clone());
+        }
+        let images = self.images(argument, object)?;
+        let images = images.as_array();
+        let standard = images.as_standard_layout();
+        let bytes = standard.as_slice().unwrap_or_default();
+        py.detach(|| self.inner.observe(bytes)).map_err(to_py)
+    }
+}
+
+/// The oracle among subgoal generators: latents to images of the scene with the agent anywhere it
+/// can stand, uniformly. What a perfect generative model of the maze would do.
+///
+/// `decode(scene, latents)` takes one frame of any world (`MazeFrames`, a uint8 image
+/// `[1, S, S, 3]`, or frames with such `images`) and float32 `[M, K, L]`, of which the first two
+/// latents are used, and gives `MazeFrames` of `M * K` frames.
+#[pyclass(name = "MazeSubgoals", module = "hvf_core", frozen)]
+pub struct PyMazeSubgoals {
+    inner: MazeSubgoals,
+}
+
+#[pymethods]
+impl PyMazeSubgoals {
+    #[new]
+    #[pyo3(signature = (latent_dim = 8))]
+    fn new(latent_dim: usize) -> PyResult<Self> {
+        Ok(Self { inner: MazeSubgoals::new(latent_dim).map_err(to_py)? })
+    }
+
+    /// Latents of one image.
+    #[getter]
+    fn latent_dim(&self) -> usize {
+        self.inner.latent_dim()
+    }
+
+    /// Images `[M * K]`, sample-major, of `latents [M, K, L]` in the scene of one frame.
+    fn decode(
+        &self,
+        scene: &Bound<'_, PyAny>,
+        latents: &Bound<'_, PyAny>,
+    ) -> PyResult<PyMazeFrames> {
+        let latents = floats::<Ix3>("latents", "[M, K, L]", latents)?;
+        let scene = match scene.cast::<PyMazeFrames>() {
+            Ok(frames) => frames.get().inner.clone(),
+            Err(_) => located(scene)?,
+        };
+        Ok(PyMazeFrames { inner: self.inner.decode(&scene, latents).map_err(to_py)? })
+    }
+
+    fn __repr__(&self) -> String {
+        format!("MazeSubgoals(latent_dim={})", self.inner.latent_dim())
+    }
+}
+
+/// Frames read off the images of another world's frames.
+fn located(scene: &Bound<'_, PyAny>) -> PyResult<MazeFrames> {
+    let images = scene.getattr_opt(intern!(scene.py(), "images"))?;
+    let images = images.as_ref().unwrap_or(scene);
+    let size = match images.cast::<PyUntypedArray>() {
+        Ok(array) if array.ndim() == 4 => array.shape()[1],
+        _ => 0,
+    };
+    let images = images_of_size("scene", images, size)?;
+    let images = images.as_array();
+    let standard = images.as_standard_layout();
+    let renderer = Renderer::new(size).map_err(to_py)?;
+    MazeFrames::from_images(&renderer, standard.as_slice().unwrap_or_default()).map_err(to_py)
+}
+
+/// A uint8 array `[N, size, size, 3]`; a single image gets an axis.
+fn images_of_size<'py>(
+    argument: &str,
+    object: &Bound<'py, PyAny>,
+    size: usize,
+) -> PyResult<PyReadonlyArray4<'py, u8>> {
+    let Ok(array) = object.cast::<PyUntypedArray>() else {
+        return Err(PyTypeError::new_err(format!(
+            "{argument}: expected MazeFrames or uint8 images [N, {size}, {size}, 3], got {}",
+            object.get_type().name()?
+        )));
+    };
+    let complaint = format!(
+        "{argument}: expected uint8 images [N, {size}, {size}, 3], got {} {:?}",
+        array.dtype(),
+        array.shape()
+    );
+    let array = match array.ndim() {
+        3 => object.get_item(object.py().None())?,
+        _ => object.clone(),
+    };
+    let images: PyReadonlyArray4<'py, u8> =
+        array.extract().map_err(|_| PyTypeError::new_err(complaint.clone()))?;
+    if images.shape()[1..] != [size, size, 3] {
+        return Err(PyValueError::new_err(complaint));
+    }
+    Ok(images)
+}
+
+/// A copy of anything that `numpy.asarray` makes a float32 array of this many axes.
+fn floats<D: Dimension>(
+    argument: &str,
+    expected: &str,
+    object: &Bound<'_, PyAny>,
+) -> PyResult<Array<f32, D>> {
+    let found: PyArrayLikeDyn<'_, f32, AllowTypeChange> = object.extract().map_err(|_| {
+        let kind = object.get_type();
+        PyTypeError::new_err(format!("{argument}: expected a float array {expected}, got {kind}"))
+    })?;
+    let shape = found.shape().to_vec();
+    found.as_array().to_owned().into_dimensionality().map_err(|_| {
+        let problem = format!("{argument}: expected a float array {expected}, got shape {shape:?}");
+        PyValueError::new_err(problem)
+    })
+}
+
+/// Adds this file's classes to the module.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyMazeWorld>()?;
+    module.add_class::<PyMazeFrames>()?;
+    module.add_class::<PyMazeSubgoals>()
+}
