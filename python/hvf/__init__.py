@@ -1,1 +1,5 @@
 """Hierarchical visual foresight."""
+
+from hvf.envs import register_envs
+
+register_envs()
