@@ -1,0 +1,26 @@
+"""Gymnasium environments: ``hvf/Maze-v0``, alone and as a native vector environment.
+
+Importing :mod:`hvf` registers them, so that ``gymnasium.make("hvf/Maze-v0")`` and
+``gymnasium.make_vec("hvf/Maze-v0", num_envs=8)`` find them.
+"""
+
+import gymnasium
+
+MAZE_ID = "hvf/Maze-v0"
+MAZE_MAX_STEPS = 50
+"""Steps of an episode, ``T`` of the paper's maze (section 6.1)."""
+
+
+def register_envs() -> None:
+    """Make this package's environments known to Gymnasium. Does nothing the second time."""
+    if MAZE_ID in gymnasium.registry:
+        return
+    gymnasium.register(
+        id=MAZE_ID,
+        entry_point="hvf.envs.maze:MazeEnv",
+        vector_entry_point="hvf.envs.maze_vector:MazeVectorEnv",
+        max_episode_steps=MAZE_MAX_STEPS,
+    )
+
+
+__all__ = ["MAZE_ID", "MAZE_MAX_STEPS", "register_envs"]
