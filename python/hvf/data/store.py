@@ -17,10 +17,12 @@ sees across frames of 12 KB: 100 steps of the maze take about 30 KB, and decode 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import errno
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -131,21 +133,20 @@ def join_files(path: Path, metadata: Metadata, parts: list[Path]) -> None:
         OSError: the file cannot be written.
     """
     with _create(path, metadata) as file:
-        first = 0
-        for part in parts:
-            with EpisodeFile(part) as source:
-                count = min(len(source), metadata.episodes - first)
-                for name in _DATASETS:
+        for name in _DATASETS:
+            first = 0
+            for part in parts:
+                with EpisodeFile(part) as source:
                     old = source.dataset(name)
                     shape = (metadata.episodes, *old.shape[1:])
-                    new = file[name] if name in file else _dataset(file, name, shape, old.dtype)
+                    new = file[name] if first else _dataset(file, name, shape, old.dtype)
                     rest = (0,) * (len(shape) - 1)
-                    for i in range(count):
+                    for i in range(min(len(source), metadata.episodes - first)):
                         mask, chunk = old.id.read_direct_chunk((i, *rest))
                         new.id.write_direct_chunk((first + i, *rest), chunk, mask)
-                first += count
-        if first != metadata.episodes:
-            raise ValueError(f"parts hold {first} episodes, expected {metadata.episodes}")
+                    first += len(source)
+            if first < metadata.episodes:
+                raise ValueError(f"parts hold {first} episodes, expected {metadata.episodes}")
 
 
 class EpisodeFile:
@@ -276,16 +277,20 @@ class EpisodeFile:
         return metadata
 
 
-def _create(path: Path, metadata: Metadata) -> Any:
-    file = h5py.File(path, "w")
-    file.attrs["format"] = FORMAT
-    file.attrs["environment"] = metadata.environment
-    file.attrs["parameters"] = json.dumps(dict(metadata.parameters), sort_keys=True)
-    file.attrs["seed"] = metadata.seed
-    file.attrs["steps"] = metadata.steps
-    file.attrs["episodes"] = metadata.episodes
-    file.attrs["versions"] = json.dumps(dict(metadata.versions), sort_keys=True)
-    return file
+@contextlib.contextmanager
+def _create(path: Path, metadata: Metadata) -> Iterator[Any]:
+    try:
+        with h5py.File(path, "w") as file:
+            file.attrs["format"] = FORMAT
+            file.attrs["environment"] = metadata.environment
+            file.attrs["parameters"] = json.dumps(dict(metadata.parameters), sort_keys=True)
+            file.attrs["seed"] = metadata.seed
+            file.attrs["steps"] = metadata.steps
+            file.attrs["episodes"] = metadata.episodes
+            file.attrs["versions"] = json.dumps(dict(metadata.versions), sort_keys=True)
+            yield file
+    except RuntimeError as error:  # what h5py makes of a full disk when it closes the file
+        raise OSError(errno.EIO, str(error)) from error
 
 
 def _dataset(file: Any, name: str, shape: tuple[int, ...], dtype: Any) -> Any:

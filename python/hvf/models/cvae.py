@@ -11,11 +11,13 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import torch
 import torch.nn.functional as F
 from torch import nn
+
+from hvf.models.frames import to_unit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,6 +90,9 @@ class CVAEConfig:
         return float(self.kl_start * (self.kl_weight / self.kl_start) ** (step / self.kl_steps))
 
 
+# Differences to the mean image are about a quarter where there is something.
+_INPUT_SCALE = 4.0
+
 DESK_VAE = CVAEConfig(
     conditional=False,
     channels=(8, 16, 32, 32, 32, 64, 128),
@@ -111,6 +116,7 @@ class CVAE(nn.Module):
     """
 
     config_type: ClassVar[type[CVAEConfig]] = CVAEConfig
+    mean_image: torch.Tensor
 
     def __init__(self, config: CVAEConfig) -> None:
         super().__init__()
@@ -144,18 +150,43 @@ class CVAE(nn.Module):
         if config.conditional:
             self.scene = _fully_connected(features, *config.scene_layers)
         self.image = _fully_connected(config.latent_dim + scene, *config.image_layers, features)
+        self.register_buffer("mean_image", torch.full((3, *config.image_size), 0.5))
+        self._initialise()
+
+    def centre(self, frames: torch.Tensor) -> CVAE:
+        """Take the mean of ``frames``, uint8 ``[N, H, W, 3]``, as the image to start from.
+
+        The encoder sees differences to it and the decoder's logits are added to its own. What all
+        images share, most of the maze, is then known before the first step; otherwise it is all
+        that the first thousands of steps learn, while the latents die.
+
+        Raises:
+            ValueError: another shape than the config's; TypeError: another dtype.
+        """
+        if frames.dtype != torch.uint8:
+            raise TypeError(f"frames must be uint8, got {frames.dtype}")
+        if frames.ndim != 4 or frames.shape[1:] != (*self.config.image_size, 3) or not len(frames):
+            raise ValueError(
+                f"frames must be [N, {self.config.image_size[0]}, {self.config.image_size[1]}, 3], "
+                f"got {tuple(frames.shape)}"
+            )
+        total = torch.zeros(frames.shape[1:], dtype=torch.float64)
+        for first in range(0, len(frames), 256):
+            total += frames[first : first + 256].sum(0, dtype=torch.float64)
+        self.mean_image.copy_((total / len(frames) / 255).permute(2, 0, 1))
+        return self
 
     def encode(
         self, image: torch.Tensor, scene: torch.Tensor | None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean and log variance of the posterior, ``[B, L]`` each, of images in a scene ``[B]``."""
         parts = [image] if scene is None else [scene, image]
-        features = self.encoder(torch.cat(parts)).flatten(1)
+        features = self._encode(torch.cat(parts)).flatten(1)
         return self._posterior(features.chunk(len(parts)))
 
     def decode_logits(self, latent: torch.Tensor, scene: torch.Tensor | None) -> torch.Tensor:
         """Logits of the images of ``latent [B, L]`` in the scene of ``scene [B]``."""
-        spatial = None if scene is None else self.encoder(scene)
+        spatial = None if scene is None else self._encode(scene)
         return self._decode(latent, spatial)
 
     def decode(self, latent: torch.Tensor, scene: torch.Tensor | None = None) -> torch.Tensor:
@@ -199,7 +230,7 @@ class CVAE(nn.Module):
         if self.config.conditional:
             parts.insert(0, to_unit(batch["scene"]))
         # Scene and image pass the shared encoder together.
-        features = self.encoder(torch.cat(parts))
+        features = self._encode(torch.cat(parts))
         spatial = features.chunk(2)[0] if self.config.conditional else None
         mean, log_variance = self._posterior(features.flatten(1).chunk(len(parts)))
         noise = torch.randn(mean.shape, generator=generator, device=mean.device, dtype=mean.dtype)
@@ -219,6 +250,30 @@ class CVAE(nn.Module):
             "mse": F.mse_loss(prediction.detach(), image),
         }
 
+    def _initialise(self) -> None:
+        """Keep the variance through rectified layers (He et al., 2015), and begin nearly noiseless.
+
+        With torch's default the signal fades over ten layers, and with a variance of 1 it drowns in
+        the posterior's noise: the decoder learns to ignore the latent before it carries anything.
+        """
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
+                inputs = float(module.weight[0].numel())
+                if isinstance(module, nn.ConvTranspose2d):
+                    inputs = module.weight.shape[0] * 9 / module.stride[0] ** 2
+                nn.init.normal_(module.weight, std=math.sqrt(2 / inputs))
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+        posterior, last = cast(nn.Linear, self.posterior[-1]), self.decoder[-1]
+        with torch.no_grad():
+            posterior.weight[self.config.latent_dim :] *= 0.1
+            posterior.bias[self.config.latent_dim :] = -5.0
+            cast(nn.ConvTranspose2d, last).weight *= 0.1
+
+    def _encode(self, images: torch.Tensor) -> torch.Tensor:
+        features: torch.Tensor = self.encoder((images - self.mean_image) * _INPUT_SCALE)
+        return features
+
     def _posterior(self, features: Sequence[torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
         mean, log_variance = self.posterior(torch.cat(list(features), 1)).float().chunk(2, 1)
         return mean, log_variance.clamp(-12, 4)
@@ -229,18 +284,8 @@ class CVAE(nn.Module):
         else:
             scene = self.scene(spatial.flatten(1)).expand(len(latent), -1)
             grown = self.image(torch.cat([scene, latent], 1)).unflatten(1, self._spatial) + spatial
-        logits: torch.Tensor = self.decoder(grown.contiguous(memory_format=torch.channels_last))
-        return logits
-
-
-def to_unit(frames: torch.Tensor) -> torch.Tensor:
-    """Frames uint8 ``[B, H, W, 3]`` as float ``[B, 3, H, W]`` in [0, 1], channels last."""
-    return frames.permute(0, 3, 1, 2).float() / 255
-
-
-def to_frames(images: torch.Tensor) -> torch.Tensor:
-    """Images float ``[B, 3, H, W]`` in [0, 1] as frames uint8 ``[B, H, W, 3]``."""
-    return (images.permute(0, 2, 3, 1) * 255).round().clamp(0, 255).to(torch.uint8).contiguous()
+        change: torch.Tensor = self.decoder(grown.contiguous(memory_format=torch.channels_last))
+        return change + torch.logit(self.mean_image, eps=1e-2)
 
 
 def gaussian_kl(mean: torch.Tensor, log_variance: torch.Tensor) -> torch.Tensor:
