@@ -1,151 +1,171 @@
 """Compact dynamics model: a moving keypoint, a sprite, and a small residual network.
 
-What moves in an image is described by one keypoint found without labels; what does not move is
+What moves in an image is described by one keypoint (`keypoint_perception`); what does not move is
 copied from the start frame:
 
     predicted frame = start frame + colour * (sprite(keypoint_h) - sprite(keypoint_0))
 
-The sprite is an outer product of two learned profiles, so the squared pixel distance to a goal
-image has a closed form and planning never decodes a frame (the planner runs this model in Rust,
-`hvf_core.KeypointWorld`; this module is what is trained and the reference it is tested against).
+The sprite is an outer product of two profiles, so the squared pixel distance to a goal image has a
+closed form and planning never decodes a frame. The planner runs this model in Rust
+(`hvf_core.KeypointWorld`); this module is what is trained, and the reference for tests.
 
-The keypoint is the centroid of a learned motion mask. Mask, sprite and colour are learned from
-pairs of frames of one episode: whatever differs between the two must be explained by moving the
-mask. The residual network ("cell") then learns how actions move the keypoint, given a code of the
-scene (where the walls are), from keypoints that the encoder found in the following frames.
+The residual network ("cell") learns how an action moves the keypoint, given a code of what does
+not move (the walls), from the keypoints that perception found in consecutive frames. The code is
+learned with it; a small decoder that must rebuild the background from the code helps it on.
 
 Letters in shapes: `N` frames, `S` image size, `E` scene code, `A` action dimensions, `H` steps.
+Keypoints here are (row, column) in [-1, 1], pixel centres of the first and last row at -1 and 1.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from hvf.models.frames import to_unit
+from hvf.models.keypoint_perception import KeypointPerception, PerceptionConfig
+
+POOLED_COLUMNS = 4
+"""Columns of the background that are averaged into one before the scene is encoded."""
+
 
 @dataclass(frozen=True)
-class KeypointConfig:
-    """Sizes of the compact dynamics model."""
+class DynamicsConfig:
+    """Sizes and loss weights of the compact dynamics model.
 
-    image_size: int = 64
-    """Height and width of the images, `S`, in pixels (a multiple of 8)."""
+    Attributes:
+        perception: the keypoint detector.
+        action_dim: action dimensions, `A`.
+        action_scale: largest absolute action; actions are divided by it.
+        scene_dim: length of the scene code, `E`.
+        hidden: width of the cell's two hidden layers (a multiple of 4).
+        background_weight: weight of rebuilding the background from the scene code.
+    """
+
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     action_dim: int = 2
-    """Action dimensions, `A`."""
     action_scale: float = 3.0
-    """Largest absolute action; actions are divided by it before the network sees them."""
-    scene_dim: int = 16
-    """Length of the scene code, `E`."""
+    scene_dim: int = 8
     hidden: int = 128
-    """Width of the two hidden layers of the cell (a multiple of 8)."""
+    background_weight: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse sizes that cannot be built."""
-        if self.image_size < 16 or self.image_size % 8:
-            raise ValueError(f"image_size: must be a multiple of 8, at least 16; got {self.image_size}")
         if self.action_dim < 1:
-            raise ValueError(f"action_dim: must be at least 1, got {self.action_dim}")
-        if not self.action_scale > 0:
-            raise ValueError(f"action_scale: must be positive, got {self.action_scale}")
+            raise ValueError(f"action_dim must be at least 1, got {self.action_dim}")
+        if not 0 < self.action_scale < float("inf"):
+            raise ValueError(f"action_scale must be positive, got {self.action_scale}")
         if self.scene_dim < 1:
-            raise ValueError(f"scene_dim: must be at least 1, got {self.scene_dim}")
-        if self.hidden < 8 or self.hidden % 8:
-            raise ValueError(f"hidden: must be a multiple of 8, at least 8; got {self.hidden}")
+            raise ValueError(f"scene_dim must be at least 1, got {self.scene_dim}")
+        if self.hidden < 4 or self.hidden % 4:
+            raise ValueError(f"hidden must be a positive multiple of 4, got {self.hidden}")
+        if not self.background_weight >= 0:
+            raise ValueError(
+                f"background_weight must not be negative, got {self.background_weight}"
+            )
 
 
 class KeypointDynamics(nn.Module):
-    """Encoder, sprite and cell; see the module's documentation."""
+    """Perception, scene code and cell; see the module's documentation."""
 
-    def __init__(self, config: KeypointConfig) -> None:
+    config_type: ClassVar[type[DynamicsConfig]] = DynamicsConfig
+
+    def __init__(self, config: DynamicsConfig) -> None:
         super().__init__()
         self.config = config
-        size, hidden = config.image_size, config.hidden
-        self.mask = nn.Sequential(
-            nn.Conv2d(3, 8, 3, padding=1), nn.ReLU(), nn.Conv2d(8, 1, 1)
-        )
+        size, hidden = config.perception.image_size, config.hidden
+        self.perception = KeypointPerception(config.perception)
+        pooled = size * (size // POOLED_COLUMNS)
         self.scene = nn.Sequential(
-            nn.Conv2d(3, 16, 5, stride=2, padding=2), nn.ReLU(),
-            nn.Conv2d(16, 16, 3, stride=2, padding=1), nn.ReLU(),
-            nn.Conv2d(16, 32, 3, stride=2, padding=1), nn.ReLU(),
-            nn.Flatten(),
-            nn.Linear(32 * (size // 8) ** 2, 128), nn.ReLU(),
-            nn.Linear(128, config.scene_dim),
+            nn.Linear(pooled, 128),
+            nn.ReLU(),
+            nn.Linear(128, 64),
+            nn.ReLU(),
+            nn.Linear(64, config.scene_dim),
+        )
+        self.scene_decoder = nn.Sequential(
+            nn.Linear(config.scene_dim, 128), nn.ReLU(), nn.Linear(128, pooled)
         )
         self.input = nn.Linear(2 + config.action_dim + config.scene_dim, hidden)
         self.middle = nn.Linear(hidden, hidden)
         self.output = nn.Linear(hidden, 2)
-        # Sprite: half-size and edge width of the profiles along y and x in pixels, and colour
-        # relative to the background. A soft, wide start gives gradients from far away.
-        self.half_size = nn.Parameter(torch.full((2,), 4.0))
-        self.edge = nn.Parameter(torch.full((2,), 4.0))
-        self.colour = nn.Parameter(torch.tensor([0.1, 0.3, 0.0]))
-        grid = torch.arange(size, dtype=torch.float32)
-        self.register_buffer("grid", grid, persistent=False)
 
-    # --- images to keypoints and scene codes ---
+    def freeze_perception(self, perception: KeypointPerception) -> KeypointDynamics:
+        """Take over a trained perception and keep it as it is."""
+        self.perception.load_state_dict(perception.state_dict())
+        self.perception.requires_grad_(False)
+        return self
 
-    def motion_mask(self, images: Tensor) -> Tensor:
-        """Mask of what moves, `[N, S, S]`, not negative, from `images [N, 3, S, S]` in [0, 1]."""
-        return F.relu(self.mask(images - 0.5).squeeze(1))
+    def to_pixels(self, keypoints: Tensor) -> Tensor:
+        """Keypoints in [-1, 1] to pixels."""
+        return (keypoints + 1.0) * (0.5 * (self.config.perception.image_size - 1))
 
-    def centroid(self, mask: Tensor) -> Tensor:
-        """Keypoints `[N, 2]` as (row, column) in pixels from a mask `[N, S, S]`."""
-        total = mask.sum(dim=(1, 2)).clamp_min(1e-4)
-        row = (mask.sum(dim=2) * self.grid).sum(dim=1) / total
-        column = (mask.sum(dim=1) * self.grid).sum(dim=1) / total
-        return torch.stack([row, column], dim=1)
+    def to_keypoints(self, pixels: Tensor) -> Tensor:
+        """Pixels to keypoints in [-1, 1]."""
+        return pixels * (2.0 / (self.config.perception.image_size - 1)) - 1.0
 
-    def keypoints(self, images: Tensor) -> Tensor:
-        """Keypoints `[N, 2]` (row, column) in pixels from `images [N, 3, S, S]` in [0, 1]."""
-        return self.centroid(self.motion_mask(images))
+    def observe(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Keypoints `[N, 2]` and scene codes `[N, E]` of uint8 `images [N, S, S, 3]`."""
+        unit = to_unit(images)
+        pixels = self.perception.keypoints(unit)
+        return self.to_keypoints(pixels), self.scene_code(self.pooled_background(unit, pixels))
 
-    def scene_code(self, images: Tensor) -> Tensor:
-        """Scene codes `[N, E]` from `images [N, 3, S, S]` in [0, 1]."""
-        code: Tensor = self.scene(images - 0.5)
+    def pooled_background(self, images: Tensor, pixels: Tensor) -> Tensor:
+        """What does not move in `images [N, 3, S, S]`, small and grey: `[N, S * S / 4]`.
+
+        `pixels [N, 2]` are the keypoints in pixels; the sprite there is taken away first.
+        """
+        grey = self.perception.background(images, pixels).mean(dim=1, keepdim=True)
+        return F.avg_pool2d(grey, (1, POOLED_COLUMNS)).flatten(1)
+
+    def scene_code(self, pooled: Tensor) -> Tensor:
+        """Scene codes `[N, E]` from `pooled [N, S * S / 4]` backgrounds."""
+        code: Tensor = self.scene(4.0 * (pooled - 0.25))
         return code
 
-    # --- keypoints to frames ---
+    def draw(self, images: Tensor, before: Tensor, after: Tensor) -> Tensor:
+        """Frames `[N, 3, S, S]` in which the moving part went from `before` to `after` `[N, 2]`."""
+        base = self.perception.background(images, self.to_pixels(before))
+        return base + self.perception.tint(self.perception.sprite(self.to_pixels(after)))
 
-    def profiles(self, keypoints: Tensor) -> tuple[Tensor, Tensor]:
-        """Row and column profile of the sprite, `[N, S]` each, in [0, 1].
-
-        Pixel `i` is covered by `clamp((half_size - |i - keypoint|) / edge + 1/2, 0, 1)`: with
-        an edge of one pixel this is the exact area coverage of a box.
-        """
-        distance = (self.grid - keypoints[..., None]).abs()
-        half, edge = self.half_size[:, None], self.edge.clamp_min(0.25)[:, None]
-        profile = ((half - distance) / edge + 0.5).clamp(0, 1)
-        return profile[..., 0, :], profile[..., 1, :]
-
-    def sprite(self, keypoints: Tensor) -> Tensor:
-        """Coverage of each pixel by the sprite, `[N, S, S]`, from keypoints `[N, 2]`."""
-        row, column = self.profiles(keypoints)
-        return row[..., :, None] * column[..., None, :]
-
-    def move(self, images: Tensor, before: Tensor, after: Tensor) -> Tensor:
-        """Frames `[N, 3, S, S]` in which coverage `before` became `after` (`[N, S, S]` each)."""
-        return images + self.colour[:, None, None] * (after - before)[:, None]
-
-    # --- actions to keypoints ---
-
-    def unit(self, keypoints: Tensor) -> Tensor:
-        """Keypoints in [-1, 1] instead of pixels."""
-        return keypoints * (2.0 / (self.config.image_size - 1)) - 1.0
-
-    def step(self, keypoints: Tensor, scene: Tensor, actions: Tensor) -> Tensor:
-        """Keypoints `[N, 2]` in [-1, 1] one action `[N, A]` later, given scene codes `[N, E]`."""
-        inputs = torch.cat([keypoints, actions / self.config.action_scale, scene], dim=-1)
-        hidden = F.relu(self.input(inputs))
-        hidden = F.relu(self.middle(hidden))
+    def step(self, keypoints: Tensor, codes: Tensor, actions: Tensor) -> Tensor:
+        """Keypoints `[N, 2]` one action `[N, A]` later, given scene codes `[N, E]`."""
+        inputs = torch.cat([keypoints, actions / self.config.action_scale, codes], dim=-1)
+        hidden = F.relu(self.middle(F.relu(self.input(inputs))))
         moved: Tensor = keypoints + self.output(hidden)
         return moved
 
-    def rollout(self, keypoints: Tensor, scene: Tensor, actions: Tensor) -> Tensor:
-        """Keypoints `[N, H, 2]` in [-1, 1] after each of `actions [N, H, A]`."""
+    def rollout(self, keypoints: Tensor, codes: Tensor, actions: Tensor) -> Tensor:
+        """Keypoints `[N, H, 2]` after each of `actions [N, H, A]`."""
         path = []
         for h in range(actions.shape[1]):
-            keypoints = self.step(keypoints, scene, actions[:, h])
+            keypoints = self.step(keypoints, codes, actions[:, h])
             path.append(keypoints)
         return torch.stack(path, dim=1)
+
+    def loss(
+        self, batch: Mapping[str, Tensor], generator: torch.Generator, step: int
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Error of one predicted step, in pixels, and of the rebuilt background.
+
+        The batch holds, for `G` scenes with `B` transitions each: `pooled [G, S * S / 4]`
+        (backgrounds), `before` and `after` `[G, B, 2]` (keypoints), `actions [G, B, A]`.
+        """
+        codes = self.scene_code(batch["pooled"])
+        predicted = self.step(
+            batch["before"].flatten(0, 1),
+            codes.repeat_interleave(batch["before"].shape[1], dim=0),
+            batch["actions"].flatten(0, 1),
+        )
+        missed = self.to_pixels(predicted) - self.to_pixels(batch["after"].flatten(0, 1))
+        # The outcome at walls and gaps is all but discontinuous; a distance that grows linearly
+        # asks for the median of what may happen, a squared one would ask for the blurred mean.
+        error = (missed.square().sum(dim=-1) + 1e-2).sqrt().mean()
+        rebuilt = self.scene_decoder(codes)
+        background_error = (rebuilt - batch["pooled"]).square().sum(dim=1).mean()
+        loss = error + self.config.background_weight * background_error
+        return loss, {"step_pixels": error.detach(), "background": background_error.detach()}
