@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import ClassVar, cast
 
@@ -182,7 +182,7 @@ class CVAE(nn.Module):
         """Mean and log variance of the posterior, ``[B, L]`` each, of images in a scene ``[B]``."""
         parts = [image] if scene is None else [scene, image]
         features = self._encode(torch.cat(parts)).flatten(1)
-        return self._posterior(features.chunk(len(parts)))
+        return self._posterior(torch.cat(features.chunk(len(parts)), 1))
 
     def decode_logits(self, latent: torch.Tensor, scene: torch.Tensor | None) -> torch.Tensor:
         """Logits of the images of ``latent [B, L]`` in the scene of ``scene [B]``."""
@@ -224,17 +224,26 @@ class CVAE(nn.Module):
     def loss(
         self, batch: Mapping[str, torch.Tensor], generator: torch.Generator, step: int
     ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """Negative evidence bound of ``image`` given ``scene``, uint8 ``[B, H, W, 3]`` each."""
+        """Negative evidence bound, with a growing weight on the KL divergence.
+
+        Args:
+            batch: ``image`` and, if conditional, ``scene``, uint8 ``[B, H, W, 3]``. Each image of
+                a pair is also the scene of the other, which saves half of the encoding.
+            generator: of the posterior's noise.
+            step: for the weight of the KL divergence.
+        """
         image = to_unit(batch["image"])
-        parts = [image]
         if self.config.conditional:
-            parts.insert(0, to_unit(batch["scene"]))
-        # Scene and image pass the shared encoder together.
-        features = self._encode(torch.cat(parts))
-        spatial = features.chunk(2)[0] if self.config.conditional else None
-        mean, log_variance = self._posterior(features.flatten(1).chunk(len(parts)))
+            image = torch.cat([image, to_unit(batch["scene"])])
+        spatial = self._encode(image)
+        flat = spatial.flatten(1)
+        scene = None
+        if self.config.conditional:
+            scene = spatial.roll(len(image) // 2, 0)
+            flat = torch.cat([scene.flatten(1), flat], 1)
+        mean, log_variance = self._posterior(flat)
         noise = torch.randn(mean.shape, generator=generator, device=mean.device, dtype=mean.dtype)
-        logits = self._decode(mean + noise * torch.exp(0.5 * log_variance), spatial).float()
+        logits = self._decode(mean + noise * torch.exp(0.5 * log_variance), scene).float()
 
         size = len(image)
         pixel = F.binary_cross_entropy_with_logits(logits, image, reduction="sum") / size
@@ -274,8 +283,8 @@ class CVAE(nn.Module):
         features: torch.Tensor = self.encoder((images - self.mean_image) * _INPUT_SCALE)
         return features
 
-    def _posterior(self, features: Sequence[torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
-        mean, log_variance = self.posterior(torch.cat(list(features), 1)).float().chunk(2, 1)
+    def _posterior(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        mean, log_variance = self.posterior(features).float().chunk(2, 1)
         return mean, log_variance.clamp(-12, 4)
 
     def _decode(self, latent: torch.Tensor, spatial: torch.Tensor | None) -> torch.Tensor:

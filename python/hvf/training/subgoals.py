@@ -23,6 +23,8 @@ from hvf.training.pictures import frame_grid
 # Held-out pairs that a validation measures, and how many of them its picture shows.
 _PAIRS = 256
 _SHOWN = 12
+# The mean image is taken over every tenth frame of the pool.
+_MEAN_STRIDE = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,8 +74,10 @@ def train_subgoals(config: SubgoalTraining, console: Console | None = None) -> C
         )
     held_out = EpisodePool(config.data, "validation", environment="maze", seed=seed)
     pairs = PairSampler(held_out, _PAIRS, seed).batch(0)
+    pool.move_to(0)
+    frames = torch.from_numpy(pool.frames[:, ::_MEAN_STRIDE].reshape(-1, *pool.frames.shape[2:]))
     return train(
-        seeded(seed, lambda: CVAE(config.model)),
+        seeded(seed, lambda: CVAE(config.model)).centre(frames),
         PairSampler(pool, config.batch_size, seed),
         config.loop,
         config.out,
