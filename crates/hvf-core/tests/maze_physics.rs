@@ -81,9 +81,9 @@ proptest! {
     fn motion_never_turns_against_the_action(start in states(), action in [-3.0..3.0f64, -3.0..3.0f64]) {
         let start = step(&start, [0.0; 2]);
         let end = step(&start, action);
-        for axis in 0..2 {
-            let moved = (end.position[axis] - start.position[axis]) * action[axis].signum();
-            let free = 0.0496 * action[axis].abs();
+        let moves = end.position.into_iter().zip(start.position).map(|(end, start)| end - start);
+        for (moved, action) in moves.zip(action) {
+            let (moved, free) = (moved * action.signum(), 0.0496 * action.abs());
             prop_assert!((-1e-15..=free + 1e-9).contains(&moved));
         }
     }
@@ -106,13 +106,13 @@ proptest! {
         // In the middle section, where nothing is within reach.
         let start = State { scene: Scene { gap_y: [0.0; 2] }, position: [0.0; 2] };
         let end = step(&start, action).position;
-        for axis in 0..2 {
+        for (end, action) in end.into_iter().zip(action) {
             let (mut x, mut v) = (0.0, 0.0);
             for _ in 0..250 {
-                v = (v + 0.002 * 0.05 * action[axis] / 0.125) / (1.0 + 0.002 * 0.01 / 0.125);
+                v = (v + 0.002 * 0.05 * action / 0.125) / (1.0 + 0.002 * 0.01 / 0.125);
                 x += 0.002 * v;
             }
-            prop_assert!((end[axis] - x).abs() < 1e-12);
+            prop_assert!((end - x).abs() < 1e-12);
         }
     }
 

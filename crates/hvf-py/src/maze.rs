@@ -1,5 +1,7 @@
 //! The maze in batches: `maze_*` functions over NumPy arrays.
 
+use std::sync::Arc;
+
 use hvf_core_rs::maze::episodes::SUCCESS_DISTANCE;
 use hvf_core_rs::maze::geometry::{
     AGENT_HALF, ARENA, GAP_HALF, GAP_LIMIT, GAP_RANGE, REACH, WALL_X,
@@ -84,8 +86,9 @@ fn count(argument: &str, value: &Bound<'_, PyAny>) -> PyResult<usize> {
         .ok_or_else(|| PyValueError::new_err(format!("{argument}: {count} is too many")))
 }
 
-fn renderer(size: &Bound<'_, PyAny>) -> PyResult<Renderer> {
-    Renderer::new(count("size", size)?).map_err(to_py)
+fn renderer(size: Option<&Bound<'_, PyAny>>) -> PyResult<Arc<Renderer>> {
+    let size = size.map_or(Ok(IMAGE_SIZE), |size| count("size", size))?;
+    Renderer::shared(size).map_err(to_py)
 }
 
 /// A new array with undefined content; NumPy raises `MemoryError` where there is no room.
@@ -146,7 +149,7 @@ fn maze_render<'py>(
     size: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArrayDyn<u8>>> {
     let states = self::states("states", states)?;
-    let renderer = size.map_or_else(|| Renderer::new(IMAGE_SIZE).map_err(to_py), renderer)?;
+    let renderer = renderer(size)?;
     let size = renderer.size();
     let frames = new_array::<u8>(py, &[states.len(), size, size, 3])?;
     {
@@ -174,7 +177,7 @@ fn maze_locate<'py>(py: Python<'py>, images: &Bound<'py, PyAny>) -> PyResult<Flo
         [_, height, width, 3] if height == width => (height, images.shape()),
         ref other => return Err(PyValueError::new_err(complaint(format!("shape {other:?}")))),
     };
-    let renderer = Renderer::new(size)
+    let renderer = Renderer::shared(size)
         .map_err(|_| PyValueError::new_err(complaint(format!("shape {shape:?}"))))?;
     let view = images.as_array();
     let standard = view.as_standard_layout();
@@ -267,7 +270,7 @@ fn maze_collect<'py>(
 ) -> PyResult<Interaction<'py>> {
     let (seed, first) = (natural("seed", seed)?, natural("first", first)?);
     let (count, steps) = (self::count("count", count)?, self::count("steps", steps)?);
-    let renderer = size.map_or_else(|| Renderer::new(IMAGE_SIZE).map_err(to_py), renderer)?;
+    let renderer = renderer(size)?;
     let size = renderer.size();
     if steps == 0 {
         return Err(PyValueError::new_err("steps: must be at least 1"));

@@ -10,9 +10,10 @@ use super::physics::step;
 use super::render::Renderer;
 use crate::{Error, Result};
 
-/// Steps are so short that a thread takes this many at a time.
+/// Steps are so short that a thread takes this many at a time, and fewer are not worth waking
+/// other threads for.
 const STEPS_PER_TASK: usize = 512;
-/// Frames that a thread takes at a time.
+/// The same for frames.
 const FRAMES_PER_TASK: usize = 16;
 
 /// [`step`] for `states[N]` and `actions[N]`.
@@ -32,12 +33,11 @@ pub fn step_batch(states: &[State], actions: &[[f32; 2]]) -> Result<Vec<State>> 
             format!("must be finite, got {:?} at index {index}", actions[index]),
         ));
     }
-    Ok(states
-        .par_iter()
-        .zip(actions)
-        .with_min_len(STEPS_PER_TASK)
-        .map(|(state, action)| step(state, action.map(f64::from)))
-        .collect())
+    let step = |(state, action): (&State, &[f32; 2])| step(state, action.map(f64::from));
+    if states.len() <= STEPS_PER_TASK {
+        return Ok(states.iter().zip(actions).map(step).collect());
+    }
+    Ok(states.par_iter().zip(actions).with_min_len(STEPS_PER_TASK).map(step).collect())
 }
 
 /// [`Renderer::render`] for `states[N]` into `frames`, `[N, S, S, 3]`.
@@ -46,11 +46,14 @@ pub fn step_batch(states: &[State], actions: &[[f32; 2]]) -> Result<Vec<State>> 
 /// `frames` of another length than `N` frames.
 pub fn render_batch(renderer: &Renderer, states: &[State], frames: &mut [u8]) -> Result<()> {
     check_frames(renderer, states.len(), frames.len())?;
-    frames
-        .par_chunks_exact_mut(renderer.frame_len())
-        .zip(states)
-        .with_min_len(FRAMES_PER_TASK)
-        .for_each(|(frame, state)| renderer.render(state, frame));
+    let render = |(frame, state): (&mut [u8], &State)| renderer.render(state, frame);
+    let len = renderer.frame_len();
+    if states.len() <= FRAMES_PER_TASK {
+        frames.chunks_exact_mut(len).zip(states).for_each(render);
+    } else {
+        let frames = frames.par_chunks_exact_mut(len).zip(states);
+        frames.with_min_len(FRAMES_PER_TASK).for_each(render);
+    }
     Ok(())
 }
 

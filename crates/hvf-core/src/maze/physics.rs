@@ -112,14 +112,14 @@ impl Agent {
             (self.heading[axis] * self.position[axis] >= REACH).then_some(Surface::Border)
         });
         for wall in space.walls() {
-            for axis in 0..2 {
+            for (axis, contact) in contacts.iter_mut().enumerate() {
                 let (face, _) = self.ahead(wall, axis);
                 let (begins, ends) = self.ahead(wall, 1 - axis);
                 // Beside the face, or at its edge and pressed onto it.
                 let edge = begins == 0.0 && self.moves(1 - axis);
                 let beside = ends > 0.0 && (begins < 0.0 || edge);
                 if self.moves(axis) && face == 0.0 && beside {
-                    contacts[axis] = contacts[axis].or(Some(Surface::Wall(wall)));
+                    *contact = contact.or(Some(Surface::Wall(wall)));
                     // At a corner, met exactly, one face is enough.
                     break;
                 }

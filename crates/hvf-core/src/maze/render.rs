@@ -6,6 +6,7 @@
 //! motions far below a pixel.
 
 use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::geometry::{
     Scene, State, AGENT_HALF, ARENA, BORDER, GAP_HALF, GAP_RANGE, WALL_HALF, WALL_X,
@@ -18,6 +19,8 @@ pub const VIEW: f64 = 0.32;
 pub const IMAGE_SIZE: usize = 64;
 /// Smallest and largest size of a frame, pixels.
 pub const IMAGE_SIZES: [usize; 2] = [8, 2048];
+/// Renderers that [`Renderer::shared`] keeps.
+const SIZES_KEPT: usize = 8;
 /// Colour of the floor, RGB.
 pub const FLOOR: [u8; 3] = [24, 36, 92];
 /// Colour of the walls, RGB.
@@ -70,6 +73,25 @@ impl Renderer {
         Ok(Self { size, closed, closed_walls, wall_columns })
     }
 
+    /// A renderer that is made once for all callers that ask for this size, as long as they ask
+    /// for few sizes.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn shared(size: usize) -> Result<Arc<Self>> {
+        static KEPT: Mutex<Vec<Arc<Renderer>>> = Mutex::new(Vec::new());
+        let mut kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(renderer) = kept.iter().find(|renderer| renderer.size == size) {
+            return Ok(Arc::clone(renderer));
+        }
+        let renderer = Arc::new(Self::new(size)?);
+        if kept.len() == SIZES_KEPT {
+            kept.remove(0);
+        }
+        kept.push(Arc::clone(&renderer));
+        Ok(renderer)
+    }
+
     /// Width and height of a frame, pixels.
     pub fn size(&self) -> usize {
         self.size
@@ -98,15 +120,14 @@ impl Renderer {
     pub fn render_scene(&self, scene: &Scene, frame: &mut [u8]) {
         frame.copy_from_slice(&self.closed);
         let axis = Axis { size: self.size };
-        for wall in 0..2 {
-            let columns = axis.pixels(WALL_X[wall] - WALL_HALF, WALL_X[wall] + WALL_HALF);
-            let y = scene.gap_y[wall];
+        for ((x, y), covered) in WALL_X.into_iter().zip(scene.gap_y).zip(&self.wall_columns) {
+            let columns = axis.pixels(x - WALL_HALF, x + WALL_HALF);
             // Rows count downwards, so the axis of rows is -y.
             for row in axis.pixels(-y - GAP_HALF, -y + GAP_HALF) {
                 let open = axis.covered(row, -y - GAP_HALF, -y + GAP_HALF);
                 for col in columns.clone() {
                     let pixel = row * self.size + col;
-                    let walls = self.closed_walls[pixel] - open * self.wall_columns[wall][col];
+                    let walls = self.closed_walls[pixel] - open * covered[col];
                     let colour = if walls == 0.0 { FLOOR } else { blend(walls, 0.0) };
                     frame[3 * pixel..3 * pixel + 3].copy_from_slice(&colour);
                 }
