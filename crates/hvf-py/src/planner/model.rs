@@ -17,10 +17,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyString;
 
 use super::arguments::{describe, Whole};
-use super::border::{as_images, images_of, Border};
+use super::border::{as_images, images_of, is_native_frames, Border};
 use super::raised;
 use crate::error::to_py;
-use crate::keypoint::PyKeypointFrames;
 
 /// Frames of a Python world: any object with `len()` that an int64 array indexes.
 pub struct PythonFrames {
@@ -223,7 +222,7 @@ impl Border for PythonWorld {
     /// Images go through the model's `observe`, if it has one; so do a native world's frames.
     fn read(&self, argument: &str, object: &Bound<'_, PyAny>) -> PyResult<PythonFrames> {
         let py = object.py();
-        let images = if object.is_instance_of::<PyKeypointFrames>() && self.observes {
+        let images = if self.observes && is_native_frames(object) {
             images_of(object)?
         } else {
             as_images(object)?
