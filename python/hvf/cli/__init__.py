@@ -1,6 +1,8 @@
 """The command line: ``hvf <command> [options]``.
 
 A command is a function of one config dataclass; its options are generated from the dataclass.
+Each command's file is imported when it is run. A file may have ``prepare(command, words)``, which
+gives the command its defaults by what stands on the command line.
 """
 
 from __future__ import annotations
@@ -19,30 +21,43 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "collect maze": ("hvf.cli.collect:maze", "Collect episodes of the maze under random actions."),
     "train dynamics": ("hvf.cli.train:dynamics", "Train the compact dynamics model."),
     "train subgoals": ("hvf.cli.train:subgoals", "Train the generator of subgoal images."),
+    "eval maze": ("hvf.cli.evaluate:maze", "Success of an agent in the maze, with its interval."),
+    "plan maze": ("hvf.cli.plan:maze", "Plan and act in one episode of the maze; pictures."),
+    "demo maze": ("hvf.cli.demo:maze", "Reach a few goal images with and without subgoals."),
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return the exit status: 0, 1 on an error, 2 on usage, 130 on Ctrl-C."""
+    """Run one command.
+
+    Returns:
+        Exit status: 0; 2 for input that cannot be used (a wrong option, value or file), 1 for
+        what failed on the way (a full disk, an error of torch), 130 on Ctrl-C.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = next((" ".join(words[:n]) for n in (2, 1) if " ".join(words[:n]) in COMMANDS), None)
     if name is None:
         return _usage(words)
     console = Console(stderr=True)
     try:
-        tyro.cli(_load(name), prog=f"hvf {name}", args=words[len(name.split()) :])
+        words = words[len(name.split()) :]
+        tyro.cli(_load(name, words), prog=f"hvf {name}", args=words)
     except KeyboardInterrupt:
         return 130
     except (ValueError, TypeError, OSError, RuntimeError) as error:
         message = f"[red]hvf {name}:[/red] {escape(str(error))}"
         console.print(message, highlight=False, soft_wrap=True)
-        return 1
+        unusable = (ValueError, TypeError, FileNotFoundError, FileExistsError)
+        return 2 if isinstance(error, unusable) else 1
     return 0
 
 
-def _load(name: str) -> Callable[..., Any]:
-    module, function = COMMANDS[name][0].split(":")
-    command: Callable[..., Any] = getattr(importlib.import_module(module), function)
+def _load(name: str, words: Sequence[str]) -> Callable[..., Any]:
+    file, function = COMMANDS[name][0].split(":")
+    module = importlib.import_module(file)
+    command: Callable[..., Any] = getattr(module, function)
+    if hasattr(module, "prepare"):
+        command = module.prepare(command, words)
     return command
 
 

@@ -193,7 +193,7 @@ def evaluate(
         bar = progress.add_task("", total=trials, success=successes, completed=len(done))
         try:
             for first, count in _runs(missing, chunk):
-                for record in _records(task.run(first, count), first):
+                for record in records(task.run(first, count), first):
                     done[record.index] = record
                 if out is not None:
                     save(report(done), out)
@@ -328,7 +328,8 @@ def _runs(missing: Sequence[int], chunk: int) -> list[tuple[int, int]]:
     return runs
 
 
-def _records(outcome: Outcome, first: int) -> list[TrialRecord]:
+def records(outcome: Outcome, first: int) -> list[TrialRecord]:
+    """The outcomes of episodes ``first`` and following, one record each."""
     search = outcome.search_seconds / len(outcome.trials)
     step = outcome.acting_seconds / max(outcome.decisions, 1)
     return [

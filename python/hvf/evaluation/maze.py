@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
@@ -20,7 +21,7 @@ from hvf.evaluation.agents import (
     SubgoalSource,
     TrueSubgoals,
 )
-from hvf.protocols import SubgoalModel, WorldModel
+from hvf.worlds import WEIGHTS, MazeWorldConfig, load_maze
 
 TEST_SEED = 1_000_000_007
 """Seed of the episodes that results are reported on. Settings were chosen on
@@ -31,7 +32,7 @@ VALIDATION_SEED = 1_000_000_009
 AgentName: TypeAlias = Literal["hvf", "none", "ground-truth", "random"]
 Difficulty: TypeAlias = Literal["easy", "medium", "hard"]
 ModelName: TypeAlias = Literal["learned", "simulator"]
-GeneratorName: TypeAlias = Literal["latent", "cvae", "oracle"]
+GeneratorName: TypeAlias = Literal["default", "keypoint", "cvae", "oracle"]
 Preset: TypeAlias = Literal["default", "paper"]
 
 
@@ -142,8 +143,11 @@ class MazeEvaluation:
         subgoals: number of subgoals (K) of hvf and ground-truth.
         difficulty: walls to pass: easy 0, medium 1, hard 2.
         model: what is planned with: learned models, or the true simulator.
-        generator: which generator of subgoals hvf draws from; "oracle" places the true agent,
-            and is the only one of the simulator. None chooses: "latent" for learned models.
+        generator: what draws subgoals for hvf: "keypoint" and "cvae" are learned, "oracle" draws
+            the true agent; "default" is "keypoint" for learned models, "oracle" for the simulator.
+        dynamics: checkpoint of the learned dynamics; None for the shipped one.
+        keypoint_generator: checkpoint of the keypoint generator; None for the shipped one.
+        cvae: checkpoint of the CVAE; None for the shipped one.
         seed: seed of the episodes and of all planning.
         planning: how agents plan and act.
     """
@@ -152,20 +156,19 @@ class MazeEvaluation:
     subgoals: int = 2
     difficulty: Difficulty = "hard"
     model: ModelName = "learned"
-    generator: GeneratorName | None = None
+    generator: GeneratorName = "default"
+    dynamics: Path | None = None
+    keypoint_generator: Path | None = None
+    cvae: Path | None = None
     seed: int = TEST_SEED
     planning: MazePlanning = MazePlanning()
 
     def __post_init__(self) -> None:
-        for name, kind in (("agent", AgentName), ("difficulty", Difficulty), ("model", ModelName)):
-            _one_of(name, getattr(self, name), get_args(kind))
-        if self.generator is not None:
-            _one_of("generator", self.generator, get_args(GeneratorName))
-        if self.model == "simulator" and self.generator not in (None, "oracle"):
-            raise ValueError(
-                f"generator: {self.generator!r} draws for learned models; the simulator's is "
-                "'oracle'"
-            )
+        for name, kind in (("agent", AgentName), ("difficulty", Difficulty)):
+            value, allowed = getattr(self, name), get_args(kind)
+            if value not in allowed:
+                raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {value!r}")
+        _ = self.world
         if self.subgoals < 0:
             raise ValueError(f"subgoals: must not be negative, got {self.subgoals}")
         if not 0 <= self.seed < 2**64:
@@ -196,9 +199,22 @@ class MazeEvaluation:
             "random": "random",
         }
         world = "" if self.agent == "random" else f", {self.model}"
-        if self.agent == "hvf" and self.generator is not None:
+        if self.agent == "hvf" and self.generator != "default":
             world += f" ({self.generator})"
         return f"maze {self.difficulty}: {agents[self.agent]}{world}"
+
+    @property
+    def world(self) -> MazeWorldConfig:
+        """What to plan with."""
+        return MazeWorldConfig(
+            model=self.model,
+            generator=self.generator,
+            blur=self.planning.blur,
+            over_horizon=self.planning.over_horizon,
+            dynamics=self.dynamics,
+            keypoint_generator=self.keypoint_generator,
+            cvae=self.cvae,
+        )
 
     def task(self) -> MazeTask:
         """Load what it needs.
@@ -207,11 +223,6 @@ class MazeEvaluation:
             FileNotFoundError: models that are not there.
         """
         return MazeTask(self)
-
-
-def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {value!r}")
 
 
 class MazeTrials:
@@ -265,7 +276,7 @@ class MazeTask:
 
     def __init__(self, evaluation: MazeEvaluation) -> None:
         self.evaluation = evaluation
-        self.world, self.generator = load_world(evaluation)
+        self.world, self.generator = load_maze(evaluation.world)
         planning = evaluation.planning
         self.agent: PlanningAgent | RandomAgent
         if evaluation.agent == "random":
@@ -286,8 +297,11 @@ class MazeTask:
 
     @property
     def config(self) -> Mapping[str, Any]:
-        """All settings, JSON's types."""
-        return dataclasses.asdict(self.evaluation)
+        """All settings, and checksums of learned weights; JSON's types."""
+        settings = dataclasses.asdict(self.evaluation)
+        for name in ("dynamics", "keypoint_generator", "cvae"):
+            settings[name] = None if settings[name] is None else str(settings[name])
+        return {**settings, "sha256": _checksums(self.evaluation.world)}
 
     def trials(self, first: int, count: int) -> MazeTrials:
         """Fresh trials of episodes ``first..first + count``."""
@@ -307,28 +321,14 @@ class MazeTask:
         )
 
 
-def load_world(
-    evaluation: MazeEvaluation, folder: Path | None = None
-) -> tuple[WorldModel[Any], SubgoalModel[Any]]:
-    """The world that an evaluation plans with, and the generator of its subgoals.
-
-    Args:
-        evaluation: which.
-        folder: where learned weights are; None for the shipped ones.
-
-    Raises:
-        FileNotFoundError: weights that are not there.
-    """
-    planning = evaluation.planning
-    if evaluation.model == "simulator":
-        world = hvf_core.MazeWorld(blur=planning.blur, over_horizon=planning.over_horizon)
-        return world, hvf_core.MazeSubgoals()
-    # torch is slow to import, and only learned models need it.
-    from hvf.worlds import load_maze
-
-    learned: tuple[WorldModel[Any], SubgoalModel[Any]] = load_maze(
-        generator=evaluation.generator or "latent",
-        blur=planning.blur,
-        over_horizon=planning.over_horizon,
-    )
-    return learned
+def _checksums(world: MazeWorldConfig) -> dict[str, str]:
+    """SHA-256 of the checkpoints that a world may be made of; none for a simulator."""
+    if world.model == "simulator" and world.generator in ("default", "oracle"):
+        return {}
+    names = ("dynamics", "keypoint_generator", "cvae")
+    paths = {name: getattr(world, name) or WEIGHTS / f"maze_{name}.safetensors" for name in names}
+    return {
+        name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for name, path in paths.items()
+        if path.exists()
+    }

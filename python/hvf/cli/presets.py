@@ -1,0 +1,43 @@
+"""Commands whose options begin with a preset: ``--preset paper --horizon 10``.
+
+The preset fills in the defaults of the other options before these are parsed, so that ``--help``
+shows what holds and any single setting can be overridden.
+"""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from hvf.evaluation.maze import MazeEvaluation, Preset
+
+
+def begin_with_preset(command: Callable[..., Any], words: Sequence[str]) -> Callable[..., Any]:
+    """The command with the preset named in ``words`` as the default of its config.
+
+    Args:
+        command: takes one config dataclass, which has ``preset`` and ``evaluation``.
+        words: the command line after the command's name.
+    """
+    annotation = typing.get_type_hints(command, include_extras=True)["config"]
+    config_type = typing.get_args(annotation)[0]
+    name = _preset(words)
+    default = config_type(evaluation=MazeEvaluation.of(name), preset=name)
+
+    def prepared(config: Any = default) -> Any:
+        return command(config)
+
+    prepared.__doc__ = command.__doc__
+    prepared.__annotations__ = {"config": annotation}
+    return prepared
+
+
+def _preset(words: Sequence[str]) -> Preset:
+    """The last preset named; the parser reports one that there is not."""
+    name: Preset = "default"
+    for word, following in zip(words, [*words[1:], ""], strict=True):
+        value = word.removeprefix("--preset=") if "=" in word else following
+        if word.split("=")[0] == "--preset" and value in typing.get_args(Preset):
+            name = typing.cast(Preset, value)
+    return name
