@@ -49,7 +49,7 @@ def test_long_rollouts_stay_where_the_agent_can_stand() -> None:
     rng = np.random.default_rng(0)
     states, _ = hvf_core.maze_episodes(0, 0, 300, "medium")
     for _ in range(100):
-        actions = rng.choice([-3, -1, 0, 1e-7, 3, 1e30], (300, 2)) * rng.uniform(0, 1, (300, 2))
+        actions = rng.choice([-3, -1, 0, 1e-7, 3, 1e300], (300, 2)) * rng.uniform(0, 1, (300, 2))
         states = hvf_core.maze_step(states, actions)
         assert penetration(states).max() <= 1e-12
 
