@@ -52,7 +52,7 @@ class CVAEConfig:
     image_layers: tuple[int, ...] = (256, 256, 256)
     pyramid_levels: int = 4
     pyramid_weight: float = 1.0
-    kl_weight: float = 1.0
+    kl_weight: float = 5.0
     kl_start: float = 0.05
     kl_steps: int = 2_000
 

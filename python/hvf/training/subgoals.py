@@ -23,6 +23,8 @@ from hvf.training.pictures import frame_grid
 # Held-out pairs that a validation measures, and how many of them its picture shows.
 _PAIRS = 256
 _SHOWN = 12
+# A sample is sharp if it differs from a true image by less than this part of an agent.
+_SHARP = 0.25
 # The mean image is taken over every tenth frame of the pool.
 _MEAN_STRIDE = 10
 
@@ -34,7 +36,7 @@ class SubgoalTraining:
     Attributes:
         data: file of episodes (``hvf collect maze``).
         out: directory of the run; a run that is already there is continued.
-        batch_size: pairs of images per step.
+        batch_size: pairs of images per step; each image is reconstructed in the scene of the other.
         memory_gb: memory for decoded frames.
         model: the network and its loss.
         loop: how to optimise.
@@ -42,11 +44,11 @@ class SubgoalTraining:
 
     data: Path
     out: Path = Path("runs/subgoals")
-    batch_size: int = 32
+    batch_size: int = 16
     memory_gb: float = 2.0
     model: CVAEConfig = CVAEConfig()
     loop: LoopConfig = LoopConfig(
-        steps=20_000, learning_rate=1e-3, warmup_steps=200, schedule="cosine"
+        steps=16_000, learning_rate=1e-3, warmup_steps=200, schedule="cosine"
     )
 
     def __post_init__(self) -> None:
@@ -163,7 +165,7 @@ def maze_probe(
     redrawn = hvf_core.maze_render(scene, images.shape[1])
     error = ((redrawn.astype(np.float64) - samples) ** 2).sum((1, 2, 3))
     empty = _agent_energy(images, truth)
-    sharp = error < 0.5 * empty
+    sharp = error < _SHARP * empty
     spread = drawn[sharp, :2].std(0) / truth[:, :2].std(0) if sharp.sum() > 1 else np.zeros(2)
     return {
         "agent_mm": 1e3 * float(np.median(np.linalg.norm((rebuilt - truth)[:, :2], axis=1))),
