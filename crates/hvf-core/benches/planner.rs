@@ -1,9 +1,15 @@
 //! Planner throughput: the cross-entropy method's own work (sampling, selection, refit) with an
-//! objective that costs nothing.
+//! objective that costs nothing, and the time of searches and plans with the true simulator as it
+//! grows with `M`, `D`, `K` and `H`.
+#![allow(clippy::unwrap_used)]
+
 use criterion::{criterion_group, criterion_main, Criterion, Throughput};
+use hvf_core::maze::{Difficulty, Episode, MazeFrames, MazeSubgoals, MazeWorld, MazeWorldConfig};
 use hvf_core::planner::cem::{minimise, Call, CemConfig, Objective};
 use hvf_core::planner::distribution::{Bounds, Initial};
+use hvf_core::planner::mpc::plan;
 use hvf_core::planner::sampler::{Purpose, Stream};
+use hvf_core::planner::{search, HvfConfig, MpcConfig, Problems};
 use hvf_core::Result;
 use ndarray::{Array2, Array3};
 
@@ -44,5 +50,72 @@ fn cem_own_work(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, cem_own_work);
+/// Start and goal of one hard episode.
+fn hard_episode() -> (MazeFrames, MazeFrames) {
+    let episode = Episode::new(0, 0, Difficulty::Hard);
+    let frames = |state| MazeFrames::from_states(vec![state], 64);
+    (frames(episode.start), frames(episode.goal()))
+}
+
+/// One visual MPC step at the paper's budget: what acting repeats in every step.
+fn visual_mpc(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("visual_mpc");
+    let (start, goal) = hard_episode();
+    for (name, blur) in [("plain", 0.0), ("blur_3", 3.0)] {
+        let world = MazeWorld::new(MazeWorldConfig { blur, ..Default::default() }).unwrap();
+        let problems = Problems {
+            starts: &start,
+            goals: &goal,
+            streams: &[Stream { seed: 0, purpose: Purpose::Actions, problem: 0 }],
+            warm_start: None,
+            share_rollouts: true,
+            describe: &|problem| format!("problem {problem}"),
+        };
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| plan(&MpcConfig::default(), &world, &problems, &|| Ok(())).unwrap());
+        });
+    }
+    group.finish();
+}
+
+/// Full-budget subgoal searches (`K = 2`, `M = D = 200`, `H = 5`, 5 x 5 iterations), and with one
+/// of these changed at a time.
+fn subgoal_search(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("subgoal_search");
+    group.sample_size(10);
+    let (start, goal) = hard_episode();
+    let world = MazeWorld::new(MazeWorldConfig::default()).unwrap();
+    let generator = MazeSubgoals::default();
+    let full = HvfConfig::default();
+    let with = |change: fn(&mut HvfConfig)| {
+        let mut config = full.clone();
+        change(&mut config);
+        config
+    };
+    let cases = [
+        ("full_budget", full.clone()),
+        (
+            "full_budget_nothing_saved",
+            HvfConfig { prune: false, share_rollouts: false, ..full.clone() },
+        ),
+        ("m_100", with(|config| config.cem.samples = 100)),
+        ("m_400", with(|config| config.cem.samples = 400)),
+        ("d_100", with(|config| config.mpc.cem.samples = 100)),
+        ("d_400", with(|config| config.mpc.cem.samples = 400)),
+        ("k_1", with(|config| config.subgoals = 1)),
+        ("k_3", with(|config| config.subgoals = 3)),
+        ("h_10", with(|config| config.mpc.horizon = 10)),
+        ("h_15", with(|config| config.mpc.horizon = 15)),
+    ];
+    for (name, config) in cases {
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| {
+                search(&config, &world, &generator, &start, &goal, 0, &|| Ok(())).unwrap()
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, cem_own_work, visual_mpc, subgoal_search);
 criterion_main!(benches);
