@@ -20,7 +20,11 @@ from rich.markup import escape
 COMMANDS: dict[str, tuple[str, str]] = {
     "collect maze": ("hvf.cli.collect:maze", "Collect episodes of the maze under random actions."),
     "train dynamics": ("hvf.cli.train:dynamics", "Train the compact dynamics model."),
-    "train subgoals": ("hvf.cli.train:subgoals", "Train the generator of subgoal images."),
+    "train subgoals": ("hvf.cli.train:subgoals", "Train the paper's CVAE of subgoal images."),
+    "train keypoint-generator": (
+        "hvf.cli.train:keypoint_generator",
+        "Train the generator of subgoals for the compact dynamics model.",
+    ),
     "eval maze": ("hvf.cli.evaluate:maze", "Success of an agent in the maze, with its interval."),
     "plan maze": ("hvf.cli.plan:maze", "Plan and act in one episode of the maze; pictures."),
     "demo maze": ("hvf.cli.demo:maze", "Reach a few goal images with and without subgoals."),

@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from hvf.training.dynamics import DynamicsTraining, train_dynamics
+from hvf.training.keypoint_generator import GeneratorTraining, train_keypoint_generator
 from hvf.training.subgoals import SubgoalTraining, train_subgoals
 
 
@@ -24,3 +25,11 @@ def subgoals(config: Annotated[SubgoalTraining, tyro.conf.arg(name="")]) -> None
     Ctrl-C stops; the same command goes on from there.
     """
     train_subgoals(config)
+
+
+def keypoint_generator(config: Annotated[GeneratorTraining, tyro.conf.arg(name="")]) -> None:
+    """Train the generator of subgoals that draws keypoints for the compact dynamics model.
+
+    Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
+    """
+    train_keypoint_generator(config)

@@ -25,6 +25,10 @@ from torch.nn import functional as F
 from hvf.models.frames import to_unit
 
 
+_SHARPNESS = 10.0
+"""Of the softplus that keeps the mask positive: a rectifier would die before the mask forms."""
+
+
 @dataclass(frozen=True)
 class PerceptionConfig:
     """Sizes and loss weights of the keypoint detector.
@@ -68,6 +72,8 @@ class KeypointPerception(nn.Module):
             nn.ReLU(),
             nn.Conv2d(config.channels, 1, 1),
         )
+        # Nearly empty to begin with, but not so empty that nothing can grow.
+        nn.init.constant_(self.mask[-1].bias, -0.2)
         # A wide, soft sprite to begin with: its gradient reaches further.
         self.log_half_size = nn.Parameter(torch.full((2,), 3.0).log())
         self.log_edge = nn.Parameter(torch.full((2,), 3.0).log())
@@ -88,11 +94,11 @@ class KeypointPerception(nn.Module):
 
     def motion_mask(self, images: Tensor) -> Tensor:
         """Mask of what moves, `[N, S, S]`, not negative, from `images [N, 3, S, S]` in [0, 1]."""
-        return F.relu(self.mask(images - 0.5).squeeze(1))
+        return F.softplus(self.mask(4.0 * (images - 0.25)).squeeze(1), beta=_SHARPNESS)
 
     def centroid(self, mask: Tensor) -> Tensor:
         """Keypoints `[N, 2]` as (row, column) in pixels from a mask `[N, S, S]`."""
-        total = mask.sum(dim=(1, 2)).clamp_min(1e-4)
+        total = mask.sum(dim=(1, 2)).clamp_min(1.0)
         row = (mask.sum(dim=2) * self.grid).sum(dim=1) / total
         column = (mask.sum(dim=1) * self.grid).sum(dim=1) / total
         return torch.stack([row, column], dim=1)
@@ -146,7 +152,18 @@ class KeypointPerception(nn.Module):
             for size in (4, 8, 16)
         )
         area = mask.sum(dim=(1, 2)).mean()
-        weight = min(1.0, max(0.0, (step - self.config.sprite_from) / 200.0))
-        loss = mask_error + weight * (sprite_error + coarse_error) + self.config.sparsity * area
+        # To begin with: a pixel that changed is covered in one frame or the other. This alone says
+        # which of mask and background is which.
+        changed = difference.norm(dim=1)
+        changed = changed / changed.amax().clamp_min(1e-3)
+        covered = mask[count:] + mask[:count]
+        change_error = (covered - changed).square().sum(dim=(1, 2)).mean()
+        late = min(1.0, max(0.0, (step - self.config.sprite_from) / 200.0))
+        loss = (
+            mask_error
+            + (1.0 - late) * change_error
+            + late * (sprite_error + coarse_error)
+            + self.config.sparsity * area
+        )
         parts = {"mask": mask_error, "sprite": sprite_error, "area": area}
         return loss, {name: value.detach() for name, value in parts.items()}

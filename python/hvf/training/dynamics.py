@@ -47,7 +47,12 @@ class DynamicsTraining:
     transitions: int = 64
     model: DynamicsConfig = DynamicsConfig()
     perception_loop: LoopConfig = LoopConfig(
-        steps=800, learning_rate=4e-3, schedule="cosine", validate_every=400, checkpoint_every=200
+        steps=800,
+        learning_rate=8e-3,
+        schedule="cosine",
+        validate_every=400,
+        checkpoint_every=200,
+        threads=1,
     )
     loop: LoopConfig = LoopConfig(
         steps=30_000,
@@ -56,6 +61,7 @@ class DynamicsTraining:
         warmup_steps=200,
         validate_every=3000,
         checkpoint_every=1000,
+        threads=1,
     )
 
     def __post_init__(self) -> None:

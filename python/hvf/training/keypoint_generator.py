@@ -1,0 +1,152 @@
+"""Training the generator of keypoints on what the compact dynamics model sees."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.console import Console
+
+import hvf_core
+from hvf.data.loader import EpisodePool
+from hvf.models.checkpoint import load_model
+from hvf.models.keypoint_dynamics import KeypointDynamics
+from hvf.models.keypoint_generator import GeneratorConfig, KeypointGenerator
+from hvf.training.loop import LoopConfig, Validation, seeded, train
+from hvf.training.pictures import frame_grid
+from hvf.training.transitions import Transitions
+from hvf.worlds.learned import KeypointSubgoals, LearnedWorld
+
+_SHOWN = 10
+_SAMPLES = 200
+
+
+@dataclasses.dataclass(frozen=True)
+class GeneratorTraining:
+    """Training of the keypoint generator.
+
+    Attributes:
+        data: file of episodes (``hvf collect maze``).
+        dynamics: trained compact dynamics model (``hvf train dynamics``).
+        out: directory of the run; a run that is already there is continued.
+        episodes: episodes to learn from.
+        batch_size: keypoints per step.
+        model: the network.
+        loop: how to optimise.
+    """
+
+    data: Path
+    dynamics: Path = Path("runs/dynamics/model.safetensors")
+    out: Path = Path("runs/keypoint_generator")
+    episodes: int = 2000
+    batch_size: int = 1024
+    model: GeneratorConfig = GeneratorConfig()
+    loop: LoopConfig = LoopConfig(
+        steps=8000,
+        learning_rate=2e-3,
+        schedule="cosine",
+        warmup_steps=100,
+        validate_every=2000,
+        checkpoint_every=1000,
+        threads=1,
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("episodes", "batch_size"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+
+class KeypointSampler:
+    """Keypoints with the codes of their scenes, drawn uniformly from all frames.
+
+    Batches hold ``keypoints`` float32 ``[N, 2]`` and ``codes`` float32 ``[N, E]``.
+    """
+
+    def __init__(
+        self, keypoints: NDArray[np.float32], codes: NDArray[np.float32], count: int, seed: int
+    ) -> None:
+        self._keypoints = keypoints
+        self._codes = codes
+        self._count = count
+        self._seed = seed
+
+    def batch(self, step: int) -> Mapping[str, torch.Tensor]:
+        """The batch of training step ``step``, a function of (seed, step)."""
+        rng = np.random.default_rng([self._seed, step])
+        episode = rng.integers(len(self._keypoints), size=self._count)
+        time = rng.integers(self._keypoints.shape[1], size=self._count)
+        return {
+            "keypoints": torch.from_numpy(self._keypoints[episode, time]),
+            "codes": torch.from_numpy(self._codes[episode]),
+        }
+
+
+def train_keypoint_generator(
+    config: GeneratorTraining, console: Console | None = None
+) -> KeypointGenerator:
+    """Train the keypoint generator, or go on with the run in ``config.out``.
+
+    Raises:
+        FileNotFoundError: no data file, or no dynamics model.
+        ValueError: a damaged or foreign file, or another run in ``config.out``.
+        KeyboardInterrupt: stopped; the same call goes on from there.
+    """
+    console = console or Console()
+    seed = config.loop.seed
+    dynamics = load_model(config.dynamics, KeypointDynamics, environment="maze")
+    model_config = dataclasses.replace(config.model, scene_dim=dynamics.config.scene_dim)
+    held_out = EpisodePool(config.data, "validation", environment="maze", seed=seed)
+    held_out.move_to(0)
+    training = held_out.metadata.episodes - len(held_out)
+    data = Transitions(config.data, dynamics, min(config.episodes, training), console=console)
+    with torch.inference_mode():
+        codes = dynamics.scene_code(torch.from_numpy(data.pooled[:, 0])).numpy()
+    return train(
+        seeded(seed, lambda: KeypointGenerator(model_config)),
+        KeypointSampler(data.keypoints, codes, config.batch_size, seed),
+        config.loop,
+        config.out,
+        environment="maze",
+        run={
+            "command": "hvf train keypoint-generator",
+            "episodes": config.episodes,
+            "batch_size": config.batch_size,
+            "data": dataclasses.asdict(held_out.metadata),
+        },
+        validate=lambda model, generator: validate_generator(model, dynamics, held_out, generator),
+        console=console,
+    )
+
+
+def validate_generator(
+    model: KeypointGenerator,
+    dynamics: KeypointDynamics,
+    held_out: EpisodePool,
+    generator: torch.Generator,
+) -> Validation:
+    """Samples in held-out scenes: how many stand where the agent can, and a picture of some.
+
+    A sampled image is free if drawing the state that it shows again gives the same image: the true
+    renderer pushes an agent that stands in a wall out of it.
+    """
+    world = LearnedWorld(dynamics)
+    subgoals = KeypointSubgoals(model, world)
+    scenes = world.observe(held_out.frames[:20, 0])
+    rows = [held_out.frames[:_SHOWN, 0]]
+    errors = []
+    for i in range(20):
+        latents = torch.randn(
+            (_SAMPLES, 1, model.config.latent_dim), generator=generator, device=generator.device
+        )
+        images = subgoals.decode(scenes[np.array([i])], latents.cpu().numpy()).images
+        again = hvf_core.maze_render(hvf_core.maze_locate(images), images.shape[1])
+        errors.append(hvf_core.image_cost(images, again))
+        if i < _SHOWN:
+            rows.append(images[:_SHOWN])
+    metrics = {"free": float((np.concatenate(errors) < 5e-4).mean())}
+    return Validation(metrics, {"subgoals": frame_grid(rows, zoom=2)})

@@ -1,0 +1,207 @@
+"""The compact dynamics model: Rust against torch, closed-form costs against drawn frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+
+import hvf_core
+
+torch = pytest.importorskip("torch")
+
+from hvf.models.frames import to_unit  # noqa: E402
+from hvf.models.keypoint_dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
+from hvf.models.keypoint_generator import GeneratorConfig, KeypointGenerator  # noqa: E402
+from hvf.models.keypoint_perception import KeypointPerception, PerceptionConfig  # noqa: E402
+from hvf.worlds.learned import KeypointSubgoals, LearnedWorld  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def dynamics() -> KeypointDynamics:
+    torch.manual_seed(3)
+    model = KeypointDynamics(DynamicsConfig(hidden=24, scene_dim=5))
+    with torch.no_grad():
+        model.perception.log_half_size.copy_(torch.tensor([2.3, 2.8]).log())
+        model.perception.log_edge.copy_(torch.tensor([1.0, 1.7]).log())
+        model.output.weight.mul_(3.0)
+    return model.eval()
+
+
+@pytest.fixture(scope="module")
+def frames() -> np.ndarray:
+    images, _, _ = hvf_core.maze_collect(5, 0, 6, 1)
+    return images[:, 0]
+
+
+def actions_of(shape: tuple[int, ...], seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-3, 3, shape).astype(np.float32)
+
+
+def test_rollouts_in_rust_are_those_of_torch(dynamics, frames):
+    world = LearnedWorld(dynamics)
+    observed = world.observe(frames)
+    actions = actions_of((37, 6, 2), 0)
+    found = world.native.rollout(observed[np.array([2])], actions)
+    with torch.inference_mode():
+        keypoints = torch.from_numpy(observed.keypoints[2:3]).expand(37, -1)
+        codes = torch.from_numpy(observed.codes[2:3]).expand(37, -1)
+        expected = dynamics.rollout(keypoints, codes, torch.from_numpy(actions)).numpy()
+    np.testing.assert_allclose(found, expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("blur", [0.0, 2.5])
+@pytest.mark.parametrize("over_horizon", ["last", "sum", "min"])
+def test_costs_in_closed_form_are_those_of_drawn_frames(dynamics, frames, blur, over_horizon):
+    world = LearnedWorld(dynamics, blur, over_horizon)
+    observed = world.observe(frames)
+    starts, goals = observed[np.array([0, 1])], observed[np.array([3, 4])]
+    actions = actions_of((2, 5, 4, 2), 1)
+    found = world.rollout_costs(starts, goals, actions)
+    for b in range(2):
+        path = torch.from_numpy(world.native.rollout(starts[np.array([b])], actions[b]))
+        image = to_unit(torch.from_numpy(starts.images[b : b + 1]))
+        keypoint = torch.from_numpy(starts.keypoints[b : b + 1])
+        goal = goals.images[b] / 255.0
+        for d in range(5):
+            costs = []
+            for h in range(4):
+                with torch.inference_mode():
+                    drawn = dynamics.draw(image, keypoint, path[d, h : h + 1])
+                difference = drawn[0].permute(1, 2, 0).double().numpy() - goal
+                if blur:
+                    difference = gaussian_filter(difference, (blur, blur, 0))
+                costs.append((difference**2).sum(axis=2).mean())
+            expected = {"last": costs[-1], "sum": sum(costs), "min": min(costs)}[over_horizon]
+            assert found[b, d] == pytest.approx(expected, rel=1e-4, abs=1e-7)
+
+
+def test_a_subgoal_search_in_the_learned_world_does_not_depend_on_the_exact_savings(
+    dynamics, frames
+):
+    world = LearnedWorld(dynamics, blur=2.0)
+    generator = KeypointSubgoals(KeypointGenerator(GeneratorConfig(scene_dim=5)), world)
+    mpc = hvf_core.VisualMPC(horizon=3, samples=32, elites=8, iterations=2)
+    results = []
+    for exact_savings in (True, False):
+        search = hvf_core.HVF(
+            mpc=mpc,
+            subgoals=2,
+            samples=24,
+            elites=6,
+            iterations=2,
+            prune=exact_savings,
+            share_rollouts=exact_savings,
+        )
+        results.append(search.search(world, generator, frames[0], frames[1], seed=4))
+    first, second = results
+    assert first.cost == second.cost
+    np.testing.assert_array_equal(first.latents, second.latents)
+    np.testing.assert_array_equal(first.subgoals.images, second.subgoals.images)
+
+
+def test_perception_finds_what_moves_from_unlabelled_pairs():
+    images, _, states = hvf_core.maze_collect(11, 0, 40, 8, 32)
+    torch.manual_seed(0)
+    model = KeypointPerception(PerceptionConfig(image_size=32, sprite_from=150))
+    optimiser = torch.optim.Adam(model.parameters(), lr=1e-2)
+    frames = torch.from_numpy(images)
+    draw = torch.Generator().manual_seed(1)
+    for step in range(300):
+        episode = torch.randint(0, 40, (16,), generator=draw)
+        times = torch.randint(0, 9, (2, 16), generator=draw)
+        batch = {"scene": frames[episode, times[0]], "image": frames[episode, times[1]]}
+        loss, _ = model.loss(batch, draw, step)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    with torch.inference_mode():
+        found = model.keypoints(to_unit(frames[:, 0])).numpy()
+    scale = 32 / 0.64
+    truth = np.stack([(0.32 - states[:, 0, 1]) * scale, (states[:, 0, 0] + 0.32) * scale], 1) - 0.5
+    assert np.median(np.linalg.norm(found - truth, axis=1)) < 0.1
+
+
+def test_generated_subgoals_are_the_scene_with_the_sprite_moved(dynamics, frames):
+    world = LearnedWorld(dynamics)
+    generator = KeypointSubgoals(KeypointGenerator(GeneratorConfig(scene_dim=5)), world)
+    scene = world.observe(frames[:1])
+    latents = np.random.default_rng(0).standard_normal((4, 2, 8)).astype(np.float32)
+    drawn = generator.decode(scene, latents)
+    assert len(drawn) == 8
+    with torch.inference_mode():
+        expected = dynamics.draw(
+            to_unit(torch.from_numpy(frames[:1])),
+            torch.from_numpy(scene.keypoints),
+            torch.from_numpy(drawn.keypoints),
+        )
+    np.testing.assert_allclose(
+        drawn.images.transpose(0, 3, 1, 2), expected.clamp(0, 1).numpy() * 255, atol=0.51
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"input": np.zeros((24, 3), np.float32)}, "input"),
+        ({"middle": np.zeros((24, 20), np.float32)}, "middle"),
+        ({"output_bias": np.full(2, np.nan, np.float32)}, "output"),
+        ({"action_scale": 0.0}, "action_scale"),
+        ({"half_size": [0.0, 1.0]}, "half_size"),
+        ({"edge": [1.0, float("inf")]}, "edge"),
+        ({"half_size": [30.0, 1.0]}, "half_size"),
+        ({"action_low": [-1.0]}, "action_high"),
+        ({"image_size": 1}, "image_size"),
+        ({"blur": -1.0}, "blur"),
+        ({"over_horizon": "mean"}, "over_horizon"),
+    ],
+)
+def test_weights_that_do_not_fit_are_refused_by_name(change, message):
+    arguments = {
+        "input": np.zeros((24, 9), np.float32),
+        "input_bias": np.zeros(24, np.float32),
+        "middle": np.zeros((24, 24), np.float32),
+        "middle_bias": np.zeros(24, np.float32),
+        "output": np.zeros((2, 24), np.float32),
+        "output_bias": np.zeros(2, np.float32),
+        "action_scale": 3.0,
+        "half_size": [2.5, 2.5],
+        "edge": [1.0, 1.0],
+        "colour": [0.1, 0.6, 0.0],
+        "action_low": [-3.0, -3.0],
+        "action_high": [3.0, 3.0],
+        "image_size": 64,
+    }
+    hvf_core.KeypointWorld(**arguments)
+    with pytest.raises(ValueError, match=message):
+        hvf_core.KeypointWorld(**{**arguments, **change})
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    count=st.integers(0, 3),
+    keypoint_rows=st.integers(0, 3),
+    code_rows=st.integers(0, 3),
+    bad=st.sampled_from([None, np.nan, np.inf]),
+)
+def test_frames_that_do_not_belong_together_are_refused(count, keypoint_rows, code_rows, bad):
+    images = np.zeros((count, 8, 8, 3), np.uint8)
+    keypoints = np.zeros((keypoint_rows, 2), np.float32)
+    codes = np.zeros((code_rows, 4), np.float32)
+    if bad is not None and keypoints.size:
+        keypoints[0, 0] = bad
+    if count == keypoint_rows == code_rows and (bad is None or not count):
+        assert len(hvf_core.KeypointFrames(images, keypoints, codes)) == count
+    else:
+        with pytest.raises(ValueError, match="keypoints|codes"):
+            hvf_core.KeypointFrames(images, keypoints, codes)
+
+
+def test_images_of_another_size_are_refused(dynamics):
+    world = LearnedWorld(dynamics)
+    with pytest.raises(ValueError, match="images"):
+        world.observe(np.zeros((1, 32, 32, 3), np.uint8))
+    with pytest.raises(TypeError, match="uint8"):
+        world.observe(np.zeros((1, 64, 64, 3), np.float32))
