@@ -541,6 +541,12 @@ def test_other_arguments_that_do_not_fit_are_named() -> None:
         SMALL.plan(world, START, GOAL, warm_start=np.full((3, 2), np.nan))
     with pytest.raises(TypeError, match="warm_start"):
         SMALL.plan(world, START, GOAL, warm_start="last")
+    with pytest.raises(ValueError, match="samples"):
+        VisualMPC(samples=2**31).plan(world, START, GOAL)
+    with pytest.raises(ValueError, match="horizon"):
+        VisualMPC(horizon=2**40).plan(world, START, GOAL)
+    with pytest.raises(ValueError, match="subgoals"):
+        HVF(subgoals=2**62).search(world, Positions(), START, GOAL)
     with pytest.raises(ValueError, match="initial_low"):
         VisualMPC(initial_low=[0.0, 0.0, 0.0]).plan(world, START, GOAL)
     with pytest.raises(ValueError, match="initial_low"):

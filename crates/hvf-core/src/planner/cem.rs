@@ -13,8 +13,12 @@ use ndarray::{Array2, Array3, ArrayView1, Axis};
 use rayon::prelude::*;
 
 use super::distribution::{Bounds, DiagonalGaussian, Initial};
+use super::elites::elites;
 use super::sampler::{self, draw, Draw, Stream};
 use crate::{Error, Result};
+
+/// Most values of one problem's candidates: 1 GiB.
+pub(super) const MAX_VALUES: usize = 1 << 28;
 
 /// Budget of one optimisation.
 #[derive(Clone, Debug, PartialEq)]
@@ -152,7 +156,8 @@ pub struct Solution {
 /// 1 on), so that problems can share their first candidates.
 ///
 /// # Errors
-/// An error of the objective; costs of the wrong shape; a problem whose costs are all NaN.
+/// An error of the objective; costs of the wrong shape; a problem whose costs are all NaN; more
+/// samples than memory could hold.
 ///
 /// # Panics
 /// If lengths in `initial`, `bounds` and `streams` disagree, which callers check.
@@ -167,6 +172,17 @@ pub fn minimise<O: Objective>(
         initial.len() == 1 || initial.len() == streams.len(),
         "one initial distribution or one each"
     );
+    let most = MAX_VALUES / bounds.low.len();
+    if config.samples > most {
+        return Err(Error::invalid(
+            "samples",
+            format!(
+                "must be at most {most} of {} dimensions, got {}",
+                bounds.low.len(),
+                config.samples
+            ),
+        ));
+    }
     let sampling = Sampling { config, bounds, dimensions: bounds.low.len() };
     let mut states: Vec<Problem<'_>> = (0..streams.len())
         .map(|problem| {
@@ -365,41 +381,6 @@ impl<'a> Problem<'a> {
     fn converged(&self, config: &CemConfig) -> bool {
         let std = f64::from(self.refitted.max_std());
         std * std < config.min_variance
-    }
-}
-
-/// Places of the `count` lowest costs in the list `kept ++ costs`, ordered by (cost, place).
-/// NaN is never an elite, so there may be fewer.
-fn elites(kept: &[f32], costs: ArrayView1<'_, f32>, count: usize) -> Vec<usize> {
-    let mut keys: Vec<u64> = kept
-        .iter()
-        .chain(costs.iter())
-        .enumerate()
-        .map(|(place, &cost)| u64::from(sortable(cost)) << 32 | place as u64)
-        .collect();
-    if count < keys.len() {
-        keys.select_nth_unstable(count - 1);
-        keys.truncate(count);
-    }
-    keys.sort_unstable();
-    keys.into_iter()
-        .take_while(|key| (key >> 32) as u32 != NAN_KEY)
-        .map(|key| (key & u64::from(u32::MAX)) as usize)
-        .collect()
-}
-
-const NAN_KEY: u32 = u32::MAX;
-
-/// An integer in the order of the costs: both zeros equal, NaN last.
-fn sortable(cost: f32) -> u32 {
-    if cost.is_nan() {
-        return NAN_KEY;
-    }
-    let bits = (cost + 0.0).to_bits();
-    if bits >> 31 == 1 {
-        !bits
-    } else {
-        bits | 1 << 31
     }
 }
 

@@ -6,6 +6,7 @@
 
 pub mod cem;
 pub mod distribution;
+mod elites;
 pub mod model;
 pub mod mpc;
 pub mod philox;

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 
 use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3};
 
-use super::cem::{minimise, Call, CemConfig, IterationStats, Objective};
+use super::cem::{minimise, Call, CemConfig, IterationStats, Objective, MAX_VALUES};
 use super::distribution::{Bounds, Initial};
 use super::model::{ActionSpace, Frames, WorldModel};
 use super::sampler::{Stream, MAX_DIMENSIONS};
@@ -267,6 +267,18 @@ fn check_problems<F: Frames>(
         return Err(Error::invalid(
             "horizon",
             format!("must be at most {most} actions, got {}", config.decisions()),
+        ));
+    }
+    let values = config.horizon.saturating_mul(space.dim()).saturating_mul(config.cem.samples);
+    if values > MAX_VALUES {
+        return Err(Error::invalid(
+            "samples",
+            format!(
+                "samples x horizon x action dimensions must be at most {MAX_VALUES}, got {} x {} x {}",
+                config.cem.samples,
+                config.horizon,
+                space.dim()
+            ),
         ));
     }
     if let Some(plans) = problems.warm_start {

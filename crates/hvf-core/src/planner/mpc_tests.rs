@@ -150,6 +150,7 @@ fn fields_out_of_range_are_named() {
     for (field, config) in [
         ("horizon", MpcConfig { horizon: 0, ..good.clone() }),
         ("horizon", MpcConfig { horizon: 200_000, ..good.clone() }),
+        ("samples", MpcConfig { horizon: 1 << 40, action_repeat: 1 << 40, ..good.clone() }),
         ("action_repeat", MpcConfig { action_repeat: 0, ..good.clone() }),
         ("action_repeat", MpcConfig { action_repeat: 2, ..good.clone() }),
         ("warm_start_std", MpcConfig { warm_start_std: 0.0, ..good.clone() }),

@@ -12,7 +12,12 @@ use super::signals;
 use super::visual_mpc::{keywords, one_frame, PyVisualMpc};
 use crate::error::to_py;
 
-/// The search for subgoal images.
+/// Hierarchical visual foresight: the search for subgoal images.
+///
+/// The cross-entropy method over the latents of `subgoals` images, where a sample costs what the
+/// hardest of its `subgoals + 1` segments costs to plan with `mpc` (paper, section 4). Immutable;
+/// arguments out of range raise a ValueError that names them. The stub file describes every
+/// argument.
 #[pyclass(name = "HVF", module = "hvf_core", frozen, eq)]
 #[derive(Clone, PartialEq)]
 pub struct PyHvf {
@@ -72,6 +77,11 @@ impl PyHvf {
         Ok(Self { config })
     }
 
+    /// Subgoals between `start` and `goal`: a `SearchResult`.
+    ///
+    /// `model`, `start`, `goal` and `seed` are as for `VisualMPC.plan`; `generator` is any object with
+    /// the methods of `hvf.protocols.SubgoalModel` (None will do for `subgoals=0`). The result does not
+    /// depend on the number of threads, nor on `prune` and `share_rollouts`.
     #[pyo3(
         signature = (model, generator, start, goal, seed=Whole(0)),
         text_signature = "($self, model, generator, start, goal, seed=0)"
@@ -93,6 +103,8 @@ impl PyHvf {
         })
     }
 
+    /// A list of `B` results, as by `search` one by one. `starts`, `goals` and `seeds` are as for
+    /// `VisualMPC.plan_batch`.
     #[pyo3(signature = (model, generator, starts, goals, seeds=None))]
     fn search_batch(
         &self,

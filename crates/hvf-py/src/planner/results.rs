@@ -28,21 +28,25 @@ pub struct PyPlan {
 
 #[pymethods]
 impl PyPlan {
+    /// Actions, float32 `[H, A]`.
     #[getter]
     fn actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
         self.inner.actions.clone().into_pyarray(py)
     }
 
+    /// Predicted cost of these actions: the lowest of all iterations.
     #[getter]
     fn cost(&self) -> f32 {
         self.inner.cost
     }
 
+    /// Iterations that were run, `I`.
     #[getter]
     fn iterations(&self) -> usize {
         self.inner.history.len()
     }
 
+    /// Costs of every iteration by name, float32 `[I]` each.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let columns = PyDict::new(py);
@@ -80,23 +84,27 @@ impl PyPlans {
 
 #[pymethods]
 impl PyPlans {
+    /// Actions, float32 `[B, H, A]`.
     #[getter]
     fn actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f32>> {
         self.stacked_actions().into_pyarray(py)
     }
 
+    /// Predicted costs, float32 `[B]`.
     #[getter]
     fn costs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
         let costs: Array1<f32> = self.inner.iter().map(|plan| plan.cost).collect();
         costs.into_pyarray(py)
     }
 
+    /// Iterations that each problem ran, int64 `[B]`.
     #[getter]
     fn iterations<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
         let runs: Array1<i64> = self.inner.iter().map(|plan| plan.history.len() as i64).collect();
         runs.into_pyarray(py)
     }
 
+    /// As of `Plan`, float32 `[B, I]` each; NaN after a problem was done.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let longest = self.inner.iter().map(|plan| plan.history.len()).max().unwrap_or(0);
@@ -151,21 +159,26 @@ pub struct PySearchResult {
 
 #[pymethods]
 impl PySearchResult {
+    /// Latents of the subgoals, float32 `[K, L]`.
     #[getter]
     fn latents<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
         self.latents.clone().into_pyarray(py)
     }
 
+    /// Planning cost of every segment, float32 `[K + 1]`.
     #[getter]
     fn segment_costs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
         self.plans.get().costs(py)
     }
 
+    /// Iterations that were run, `I`; 0 without subgoals.
     #[getter]
     fn iterations(&self) -> usize {
         self.history.len()
     }
 
+    /// Figures of every iteration by name, `[I]` each: those of `Plan.history` over the samples
+    /// (the population is those completed), and the problems `evaluated` and `skipped`.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let columns = PyDict::new(py);

@@ -14,7 +14,12 @@ use super::results::{PyPlan, PyPlans};
 use super::signals;
 use crate::error::to_py;
 
-/// Visual model-predictive control.
+/// Visual model-predictive control: the cross-entropy method over actions.
+///
+/// Draws `samples` candidates of `horizon` steps, keeps the `elites` with the lowest predicted
+/// cost and refits a diagonal Gaussian to them, until its largest variance falls below
+/// `min_variance` or `iterations` are used up (paper, section 3). Immutable; arguments out of
+/// range raise a ValueError that names them. The stub file describes every argument.
 #[pyclass(name = "VisualMPC", module = "hvf_core", frozen, eq)]
 #[derive(Clone, PartialEq)]
 pub struct PyVisualMpc {
@@ -86,6 +91,15 @@ impl PyVisualMpc {
         Ok(Self { config })
     }
 
+    /// Actions that lead from `start` to `goal`: a `Plan`.
+    ///
+    /// `model` is a native world, an object whose `native` is one, or any object with the methods of
+    /// `hvf.protocols.WorldModel`. `start` and `goal` are each one uint8 image [H, W, 3] or one frame of
+    /// the model. The same seed gives the same plan to the last bit. `warm_start` is the last plan
+    /// (a `Plan` or actions [H, A]), as it was before its first action was taken.
+    ///
+    /// Raises ValueError or TypeError naming the argument, or the model's method, that does not fit;
+    /// what the model raises comes back as it is.
     #[pyo3(
         signature = (model, start, goal, seed=Whole(0), warm_start=None),
         text_signature = "($self, model, start, goal, seed=0, warm_start=None)"
@@ -109,6 +123,10 @@ impl PyVisualMpc {
         Ok(PyPlan { inner })
     }
 
+    /// `B` problems solved together, to the last bit as by `plan` one by one: `Plans`.
+    ///
+    /// `starts` and `goals` are uint8 images [B, H, W, 3] or frames of the model; one start serves all
+    /// goals. `seeds` is one for all, one for each, or None for 0.
     #[pyo3(signature = (model, starts, goals, seeds=None, warm_start=None))]
     fn plan_batch(
         &self,
