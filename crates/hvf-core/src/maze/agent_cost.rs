@@ -14,10 +14,12 @@
 //! multiplications instead of a frame. The blur is separable, hence so is its Gram matrix `G'G`:
 //! one `[size, size]` matrix on each axis.
 
+use std::ops::Range;
+
 use multiversion::multiversion;
 
 use super::geometry::{State, AGENT_HALF};
-use super::render::{Renderer, VIEW};
+use super::render::{blend, Covered, Renderer, AGENT, FLOOR, VIEW};
 use crate::image::{squared_distance_u8, squared_norm_f32, GaussianBlur};
 
 /// Rows of patches are filled up to whole vectors of this many values.
@@ -29,6 +31,8 @@ pub(super) struct AgentCost {
     size: usize,
     /// Most pixels that the agent covers on one axis.
     reach: usize,
+    /// Rows and columns without any wall ([`Renderer::open_lines`]).
+    open: [Vec<bool>; 2],
     blur: Option<Blurred>,
 }
 
@@ -52,22 +56,27 @@ pub(super) enum GoalTerms {
 }
 
 /// The agent in a frame: what it changes about the scene, and the cost of that alone.
+///
+/// The rows of an agent on open floor are of three kinds: the first, the last, and those between.
+/// So rows are kept once per kind; beside walls every row is a kind of its own.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Patch {
     top: usize,
     left: usize,
-    rows: usize,
-    /// Change of colour, rows of `3 * reach` values filled up with zeros.
+    /// Kind of each row.
+    kinds: Vec<usize>,
+    /// Change of colour, `[kinds]` rows of `3 * reach` values filled up with zeros.
     change: Vec<i16>,
-    /// The same as planes, for blurred costs.
-    planes: [Vec<f32>; 3],
+    /// The same as `[kinds, 3]` rows of `reach` values, for blurred costs.
+    planes: Vec<f32>,
     /// `|p|^2`, or `p.(G'G p)`.
     own: f64,
 }
 
 impl AgentCost {
-    /// For frames of `size` pixels.
-    pub fn new(size: usize, blur: Option<GaussianBlur>) -> Self {
+    /// For the frames of a renderer.
+    pub fn new(renderer: &Renderer, blur: Option<GaussianBlur>) -> Self {
+        let size = renderer.size();
         let pixels = size as f64 * AGENT_HALF / VIEW;
         let reach = pixels.ceil() as usize + 1;
         let blur = blur.map(|blur| {
@@ -82,7 +91,7 @@ impl AgentCost {
             }
             Blurred { band: 2 * blur.radius(), blur, gram, stride }
         });
-        Self { size, reach, blur }
+        Self { size, reach, open: renderer.open_lines(), blur }
     }
 
     /// Values of a row of [`Patch::change`].
@@ -97,18 +106,76 @@ impl AgentCost {
 
     /// What the agent of `state` changes about `scene`, the image of its scene.
     pub fn patch(&self, renderer: &Renderer, scene: &[u8], state: &State, patch: &mut Patch) {
+        let agent = renderer.agent_box(state.position);
+        let [open_rows, open_columns] = &self.open;
+        let all = |open: &[bool], pixels: &Range<usize>| open[pixels.clone()].iter().all(|&o| o);
+        if all(open_rows, &agent.rows) && all(open_columns, &agent.columns) {
+            self.patch_on_floor(&agent, patch);
+        } else {
+            self.patch_anywhere(renderer, scene, state, patch);
+        }
+        patch.own = match &self.blur {
+            None => {
+                let stride = self.change_stride();
+                let squares = |kind: usize| {
+                    let row = &patch.change[kind * stride..][..stride];
+                    row.iter().map(|&c| i64::from(c) * i64::from(c)).sum::<i64>()
+                };
+                patch.kinds.iter().map(|&kind| squares(kind)).sum::<i64>() as f64
+            }
+            Some(blurred) => {
+                self.split_channels(patch);
+                f64::from(blurred.quadratic(patch, self.plane_stride()))
+            }
+        };
+    }
+
+    /// Away from walls colours depend on the covered part of a pixel only.
+    fn patch_on_floor(&self, agent: &Covered, patch: &mut Patch) {
+        (patch.top, patch.left) = (agent.rows.start, agent.columns.start);
+        let stride = self.change_stride();
+        let (rows, columns) = (agent.rows.len(), agent.columns.len());
+        patch.change.clear();
+        patch.change.resize(3 * stride, 0);
+        let parts = [agent.row_ends[0], 1.0, agent.row_ends[1]];
+        for (row, part) in patch.change.chunks_exact_mut(stride).zip(parts) {
+            let change = |part: f64| {
+                let colour = if part >= 1.0 { AGENT } else { blend(0.0, part) };
+                [0, 1, 2].map(|c: usize| i16::from(colour[c]) - i16::from(FLOOR[c]))
+            };
+            let (pixels, _) = row[..3 * columns].as_chunks_mut::<3>();
+            pixels.fill(change(part));
+            if let Some(last) = pixels.last_mut() {
+                *last = change(part * agent.column_ends[1]);
+            }
+            if let Some(first) = pixels.first_mut() {
+                *first = change(part * agent.column_ends[0]);
+            }
+        }
+        patch.kinds.clear();
+        patch.kinds.resize(rows, 1);
+        if let Some(last) = patch.kinds.last_mut() {
+            *last = 2;
+        }
+        if let Some(first) = patch.kinds.first_mut() {
+            *first = 0;
+        }
+    }
+
+    fn patch_anywhere(&self, renderer: &Renderer, scene: &[u8], state: &State, patch: &mut Patch) {
         let (stride, size) = (self.change_stride(), self.size);
         patch.change.clear();
+        patch.kinds.clear();
         let mut row_end = 0;
         renderer.render_agent(state, |pixel, colour| {
-            if patch.change.is_empty() {
+            if patch.kinds.is_empty() {
                 (patch.top, patch.left) = (pixel / size, pixel % size);
-                row_end = (patch.top + 1) * size;
-                patch.change.resize(stride, 0);
+                row_end = patch.top * size;
             }
             while pixel >= row_end {
                 row_end += size;
-                patch.change.resize(patch.change.len() + stride, 0);
+                patch.kinds.push(patch.kinds.len());
+                patch.change.resize(patch.kinds.len() * stride, 0);
             }
             let column = pixel + size - row_end - patch.left;
             let at = patch.change.len() - stride + 3 * column;
@@ -117,27 +184,20 @@ impl AgentCost {
                     i16::from(colour[channel]) - i16::from(scene[3 * pixel + channel]);
             }
         });
-        patch.rows = patch.change.len() / stride;
-        match &self.blur {
-            None => patch.own = inner_integers(&patch.change, stride, &patch.change, stride) as f64,
-            Some(blurred) => {
-                let plane_stride = self.plane_stride();
-                for (channel, plane) in patch.planes.iter_mut().enumerate() {
-                    plane.clear();
-                    plane.resize(patch.rows * plane_stride, 0.0);
-                    let rows = plane.chunks_exact_mut(plane_stride);
-                    for (row, change) in rows.zip(patch.change.chunks_exact(stride)) {
-                        for (value, change) in
-                            row.iter_mut().zip(change[channel..].iter().step_by(3))
-                        {
-                            *value = f32::from(*change);
-                        }
-                    }
+    }
+
+    /// Fills [`Patch::planes`] from [`Patch::change`].
+    fn split_channels(&self, patch: &mut Patch) {
+        let (stride, plane_stride) = (self.change_stride(), self.plane_stride());
+        patch.planes.clear();
+        patch.planes.resize(patch.change.len() / stride * 3 * plane_stride, 0.0);
+        let rows = patch.planes.chunks_exact_mut(3 * plane_stride);
+        for (planes, change) in rows.zip(patch.change.chunks_exact(stride)) {
+            let (pixels, _) = change.as_chunks::<3>();
+            for (column, pixel) in pixels.iter().take(self.reach).enumerate() {
+                for channel in 0..3 {
+                    planes[channel * plane_stride + column] = f32::from(pixel[channel]);
                 }
-                let planes = patch.planes.each_ref().map(Vec::as_slice);
-                let (top, left) = (patch.top, patch.left);
-                let own = quadratic(planes, plane_stride, &blurred.gram, blurred.stride, top, left);
-                patch.own = f64::from(own);
             }
         }
     }
@@ -165,29 +225,50 @@ impl AgentCost {
 
     /// Cost per pixel of the frame with this patch.
     pub fn cost(&self, terms: &GoalTerms, patch: &Patch) -> f32 {
-        let pixels = (self.size * self.size) as f64;
         let sum = match (terms, &self.blur) {
             (GoalTerms::Sharp { base, residual }, _) => {
                 let at = 3 * (patch.top * self.size + patch.left);
                 let stride = self.change_stride();
-                let cross = inner_integers(&patch.change, stride, &residual[at..], 3 * self.size);
+                let (kinds, change) = (&patch.kinds, &patch.change);
+                let cross = inner_integers(kinds, change, stride, &residual[at..], 3 * self.size);
                 (base + 2 * cross + patch.own as i64) as f64
             }
             (GoalTerms::Blurred { base, slope }, Some(blurred)) => {
                 let at = patch.top * blurred.stride + patch.left;
-                let (plane, stride) = (self.plane_stride(), blurred.stride);
-                let cross: f32 = (0..3)
-                    .map(|c| inner_floats(&patch.planes[c], plane, &slope[c][at..], stride))
-                    .sum();
+                let slope = slope.each_ref().map(|slope| &slope[at..]);
+                let (kinds, planes) = (&patch.kinds, &patch.planes);
+                let cross = inner_floats(kinds, planes, self.plane_stride(), slope, blurred.stride);
                 (base + 2.0 * f64::from(cross) + patch.own).max(0.0)
             }
             (GoalTerms::Blurred { .. }, None) => f64::NAN,
         };
-        (sum / (255.0 * 255.0 * pixels)) as f32
+        (sum / (255.0 * 255.0 * (self.size * self.size) as f64)) as f32
     }
 }
 
 impl Blurred {
+    /// `p.(G'G p)`: over pairs of kinds of rows, the Gram matrix of the rows that are of these
+    /// kinds, times the inner product of the kinds under the Gram matrix of the columns.
+    fn quadratic(&self, patch: &Patch, plane_stride: usize) -> f32 {
+        let kinds = patch.planes.len() / (3 * plane_stride);
+        let mut weights = [0.0_f32; 16];
+        let mut many = Vec::new();
+        let weights = if kinds * kinds <= weights.len() {
+            &mut weights[..kinds * kinds]
+        } else {
+            many.resize(kinds * kinds, 0.0);
+            &mut many[..]
+        };
+        for (row, &kind) in patch.kinds.iter().enumerate() {
+            let gram = &self.gram[(patch.top + row) * self.stride + patch.top..];
+            for (weight, &other) in gram.iter().zip(&patch.kinds) {
+                weights[kind * kinds + other] += weight;
+            }
+        }
+        let columns = &self.gram[patch.left * self.stride + patch.left..];
+        weighted_products(&patch.planes, plane_stride, weights, columns, self.stride)
+    }
+
     /// Terms for any goal: two blurs of the difference (the blur's matrix is symmetric).
     fn terms(&self, scene: &[u8], goal: &[u8], size: usize) -> GoalTerms {
         let mut scratch = self.blur.scratch(size, size, 1);
@@ -214,8 +295,8 @@ impl Blurred {
         scene: &[u8],
         goal: &[u8],
         size: usize,
-        rows: std::ops::Range<usize>,
-        columns: std::ops::Range<usize>,
+        rows: Range<usize>,
+        columns: Range<usize>,
     ) -> GoalTerms {
         let mut base = 0.0;
         let slope = std::array::from_fn(|channel| {
@@ -250,11 +331,7 @@ impl Blurred {
 }
 
 /// The smallest box of rows and columns outside of which two images `[size, size, 3]` agree.
-fn differing_box(
-    a: &[u8],
-    b: &[u8],
-    size: usize,
-) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+fn differing_box(a: &[u8], b: &[u8], size: usize) -> (Range<usize>, Range<usize>) {
     let row = |y: usize| 3 * y * size..3 * (y + 1) * size;
     let differ = |y: &usize| a[row(*y)] != b[row(*y)];
     let Some(first) = (0..size).find(differ) else {
@@ -274,13 +351,19 @@ fn differing_box(
     (first..last + 1, left..right)
 }
 
-/// Inner product of the rows of `patch`, of `stride` values each, with `other` read every
-/// `other_stride` values.
+/// Inner product of a patch, whose rows of `stride` values are of these `kinds`, with `other` read
+/// every `other_stride` values.
 #[multiversion(targets("x86_64+avx2"))]
-fn inner_integers(patch: &[i16], stride: usize, other: &[i16], other_stride: usize) -> i64 {
+fn inner_integers(
+    kinds: &[usize],
+    change: &[i16],
+    stride: usize,
+    other: &[i16],
+    other_stride: usize,
+) -> i64 {
     let mut sum = 0;
-    for (row, patch) in patch.chunks_exact(stride).enumerate() {
-        let (patch, _) = patch.as_chunks::<LANES>();
+    for (row, kind) in kinds.iter().enumerate() {
+        let (patch, _) = change[kind * stride..][..stride].as_chunks::<LANES>();
         let (other, _) = other[row * other_stride..][..stride].as_chunks::<LANES>();
         let mut lanes = [0_i32; LANES];
         for (p, o) in patch.iter().zip(other) {
@@ -293,57 +376,61 @@ fn inner_integers(patch: &[i16], stride: usize, other: &[i16], other_stride: usi
     sum
 }
 
-/// [`inner_integers`] of floats; the order of additions is fixed.
+/// [`inner_integers`] of the three planes; the order of additions is fixed.
 #[multiversion(targets("x86_64+avx2"))]
-fn inner_floats(patch: &[f32], stride: usize, other: &[f32], other_stride: usize) -> f32 {
+fn inner_floats(
+    kinds: &[usize],
+    planes: &[f32],
+    stride: usize,
+    other: [&[f32]; 3],
+    other_stride: usize,
+) -> f32 {
     let mut lanes = [0.0_f32; LANES];
-    for (row, patch) in patch.chunks_exact(stride).enumerate() {
-        let (patch, _) = patch.as_chunks::<LANES>();
-        let (other, _) = other[row * other_stride..][..stride].as_chunks::<LANES>();
-        for (p, o) in patch.iter().zip(other) {
-            for lane in 0..LANES {
-                lanes[lane] += p[lane] * o[lane];
+    for (row, kind) in kinds.iter().enumerate() {
+        let patch = &planes[kind * 3 * stride..][..3 * stride];
+        for (patch, other) in patch.chunks_exact(stride).zip(other) {
+            let (patch, _) = patch.as_chunks::<LANES>();
+            let (other, _) = other[row * other_stride..][..stride].as_chunks::<LANES>();
+            for (p, o) in patch.iter().zip(other) {
+                for lane in 0..LANES {
+                    lanes[lane] += p[lane] * o[lane];
+                }
             }
         }
     }
     lanes.iter().sum()
 }
 
-/// `p.(G'G p)` over three planes: `sum((V p) * (p H))` with the Gram matrices `V` of the rows and
-/// `H` of the columns that the patch at (`top`, `left`) covers.
+/// Sum over pairs `(i, j)` of rows of `planes`, three channels of `stride` values each, of
+/// `weights[i, j]` times their inner product under `gram`.
 #[multiversion(targets("x86_64+avx2"))]
-fn quadratic(
-    planes: [&[f32]; 3],
+fn weighted_products(
+    planes: &[f32],
     stride: usize,
+    weights: &[f32],
     gram: &[f32],
     gram_stride: usize,
-    top: usize,
-    left: usize,
 ) -> f32 {
-    let columns = stride.min(gram.len() / gram_stride - left);
+    let kinds = planes.len() / (3 * stride);
+    let columns = stride.min(gram.len().div_ceil(gram_stride));
     let mut lanes = [0.0_f32; LANES];
-    for plane in planes {
-        let rows = plane.len() / stride;
-        for block in (0..stride).step_by(LANES) {
-            for row in 0..rows {
-                let mut down = [0.0_f32; LANES];
-                for other in 0..rows {
-                    let weight = gram[(top + row) * gram_stride + top + other];
-                    let values = &plane[other * stride + block..][..LANES];
-                    for lane in 0..LANES {
-                        down[lane] += weight * values[lane];
-                    }
-                }
+    for (kind, row) in planes.chunks_exact(3 * stride).enumerate() {
+        for channel in 0..3 {
+            let values = &row[channel * stride..][..columns];
+            for block in (0..stride).step_by(LANES) {
                 let mut across = [0.0_f32; LANES];
-                for column in 0..columns {
-                    let value = plane[row * stride + column];
-                    let weights = &gram[(left + column) * gram_stride + left + block..][..LANES];
+                for (column, value) in values.iter().enumerate() {
+                    let gram = &gram[column * gram_stride + block..][..LANES];
                     for lane in 0..LANES {
-                        across[lane] += value * weights[lane];
+                        across[lane] += value * gram[lane];
                     }
                 }
-                for lane in 0..LANES {
-                    lanes[lane] += down[lane] * across[lane];
+                for other in 0..kinds {
+                    let weight = weights[kind * kinds + other];
+                    let values = &planes[(other * 3 + channel) * stride + block..][..LANES];
+                    for lane in 0..LANES {
+                        lanes[lane] += weight * values[lane] * across[lane];
+                    }
                 }
             }
         }

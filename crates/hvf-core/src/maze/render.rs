@@ -140,8 +140,25 @@ impl Renderer {
     /// in [`render_scene`](Self::render_scene).
     #[inline]
     pub fn render_agent(&self, state: &State, mut visit: impl FnMut(usize, [u8; 3])) {
+        let agent = self.agent_box(state.position);
+        for row in agent.rows.clone() {
+            let in_row = Covered::part(row, &agent.rows, agent.row_ends);
+            for col in agent.columns.clone() {
+                let pixel = row * self.size + col;
+                let part = in_row * Covered::part(col, &agent.columns, agent.column_ends);
+                if part >= 1.0 {
+                    visit(pixel, AGENT);
+                } else if part > 0.0 {
+                    visit(pixel, blend(self.walls_at(&state.scene, row, col), part));
+                }
+            }
+        }
+    }
+
+    /// The pixels that the agent at `position` covers, wholly or in part.
+    #[inline]
+    pub(super) fn agent_box(&self, [x, y]: [f64; 2]) -> Covered {
         let axis = Axis { size: self.size };
-        let [x, y] = state.position;
         let columns = axis.pixels(x - AGENT_HALF, x + AGENT_HALF);
         let rows = axis.pixels(-y - AGENT_HALF, -y + AGENT_HALF);
         // Only the first and the last pixel of an interval are covered in part.
@@ -149,28 +166,17 @@ impl Renderer {
             let covered = |pixel| axis.covered(pixel, centre - AGENT_HALF, centre + AGENT_HALF);
             [covered(pixels.start), covered(pixels.end.saturating_sub(1))]
         };
-        let (column_ends, row_ends) = (ends(&columns, x), ends(&rows, -y));
-        let part = |pixel: usize, pixels: &Range<usize>, ends: [f64; 2]| {
-            if pixel == pixels.start {
-                ends[0]
-            } else if pixel + 1 == pixels.end {
-                ends[1]
-            } else {
-                1.0
-            }
-        };
-        for row in rows.clone() {
-            let in_row = part(row, &rows, row_ends);
-            for col in columns.clone() {
-                let pixel = row * self.size + col;
-                let agent = in_row * part(col, &columns, column_ends);
-                if agent >= 1.0 {
-                    visit(pixel, AGENT);
-                } else if agent > 0.0 {
-                    visit(pixel, blend(self.walls_at(&state.scene, row, col), agent));
-                }
-            }
-        }
+        Covered { column_ends: ends(&columns, x), row_ends: ends(&rows, -y), rows, columns }
+    }
+
+    /// Whether no scene has a wall in this row between the inner walls, and in this column apart
+    /// from the border: rows, then columns, `[size]` each.
+    pub(super) fn open_lines(&self) -> [Vec<bool>; 2] {
+        let middle = self.size / 2;
+        let open = |pixel: usize| self.closed_walls[pixel] == 0.0;
+        let rows = (0..self.size).map(|row| open(row * self.size + middle)).collect();
+        let columns = (0..self.size).map(|col| open(middle * self.size + col)).collect();
+        [rows, columns]
     }
 
     /// The part of a pixel that walls cover.
@@ -234,6 +240,32 @@ impl Renderer {
             [axis.centre(&agent_columns, AGENT_HALF), -axis.centre(&agent_rows, AGENT_HALF)];
         let scene = Scene { gap_y };
         State { scene, position: scene.free_space().push_out(position) }
+    }
+}
+
+/// Pixels that the agent covers.
+pub(super) struct Covered {
+    /// Rows that it reaches into.
+    pub rows: Range<usize>,
+    /// Columns that it reaches into.
+    pub columns: Range<usize>,
+    /// The part of the first and the last row that it covers; it covers all of those between.
+    pub row_ends: [f64; 2],
+    /// The same for columns.
+    pub column_ends: [f64; 2],
+}
+
+impl Covered {
+    /// The part of `pixel` that an interval over `pixels` with these `ends` covers.
+    #[inline]
+    pub fn part(pixel: usize, pixels: &Range<usize>, ends: [f64; 2]) -> f64 {
+        if pixel == pixels.start {
+            ends[0]
+        } else if pixel + 1 == pixels.end {
+            ends[1]
+        } else {
+            1.0
+        }
     }
 }
 
@@ -347,7 +379,7 @@ impl Axis {
 /// Colour of a pixel, `walls` of which is wall and `agent` of which is agent, the rest floor. The
 /// agent is in front, should they overlap.
 #[inline]
-fn blend(walls: f64, agent: f64) -> [u8; 3] {
+pub(super) fn blend(walls: f64, agent: f64) -> [u8; 3] {
     let walls = walls.min(1.0 - agent);
     std::array::from_fn(|channel| {
         let [floor, wall, green] = [FLOOR, WALL, AGENT].map(|colour| f64::from(colour[channel]));

@@ -73,7 +73,7 @@ impl MazeWorld {
         let limit = ACTION_LIMIT as f32;
         Ok(Self {
             config,
-            cost: AgentCost::new(config.image_size, blur),
+            cost: AgentCost::new(&renderer, blur),
             renderer,
             actions: ActionSpace::new(vec![-limit; 2], vec![limit; 2])?,
         })
