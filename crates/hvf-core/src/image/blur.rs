@@ -4,6 +4,7 @@
 //! widens the basin that a planner can descend.
 
 use multiversion::multiversion;
+use ndarray::Array2;
 
 use crate::{Error, Result};
 
@@ -78,6 +79,17 @@ impl GaussianBlur {
             }
         }
         matrix
+    }
+
+    /// `G'G` of the blur `G` of `n` pixels in a row: what the squared length of a blurred row is a
+    /// quadratic form of.
+    pub fn gram_matrix(&self, n: usize) -> Array2<f32> {
+        let (matrix, radius) = (self.matrix(n), self.radius());
+        Array2::from_shape_fn((n, n), |(i, j)| {
+            // A pixel reaches `radius` others to each side, also where it is reflected.
+            let common = i.max(j).saturating_sub(radius)..(i.min(j) + radius + 1).min(n);
+            common.map(|k| matrix[k * n + i] * matrix[k * n + j]).sum::<f64>() as f32
+        })
     }
 
     /// Working memory for images `[height, width, channels]`.
@@ -221,6 +233,20 @@ mod tests {
             for (got, want) in image.iter().zip(expected) {
                 assert!((f64::from(*got) - want).abs() < 1e-6);
             }
+        }
+    }
+
+    #[test]
+    fn gram_matrix_gives_the_squared_length_of_a_blurred_row() {
+        for (n, sigma) in [(16, 1.0), (5, 7.0), (1, 2.0)] {
+            let blur = GaussianBlur::new(sigma, "blur").unwrap().unwrap();
+            let row: Vec<f32> = (0..n).map(|i| ((i * 7) % 5) as f32).collect();
+            let row = ndarray::Array1::from_vec(row);
+            let by_gram = row.dot(&blur.gram_matrix(n).dot(&row));
+            let mut blurred = row.to_vec();
+            blur.apply(&mut blurred, 1, n, 1, &mut blur.scratch(1, n, 1));
+            let expected: f32 = blurred.iter().map(|x| x * x).sum();
+            assert!((by_gram - expected).abs() <= 1e-5 * expected, "{by_gram}, not {expected}");
         }
     }
 

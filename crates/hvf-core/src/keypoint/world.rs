@@ -157,12 +157,7 @@ impl KeypointWorld {
                 format!("expected {} dimensions, got {}", cell.action_dim(), actions.dim()),
             ));
         }
-        let gram = GaussianBlur::new(blur_sigma, "blur")?.map(|blur| {
-            let matrix = blur.matrix(size);
-            Array2::from_shape_fn((size, size), |(i, j)| {
-                (0..size).map(|k| matrix[k * size + i] * matrix[k * size + j]).sum::<f64>() as f32
-            })
-        });
+        let gram = GaussianBlur::new(blur_sigma, "blur")?.map(|blur| blur.gram_matrix(size));
         Ok(Self { cell, sprite, size, actions, gram, over_horizon })
     }
 

@@ -80,13 +80,11 @@ impl AgentCost {
         let pixels = size as f64 * AGENT_HALF / VIEW;
         let reach = pixels.ceil() as usize + 1;
         let blur = blur.map(|blur| {
-            let (stride, matrix) = (size + reach.next_multiple_of(LANES), blur.matrix(size));
+            let stride = size + reach.next_multiple_of(LANES);
             let mut gram = vec![0.0; size * stride];
-            for i in 0..size {
-                for j in 0..size {
-                    let sum: f64 =
-                        (0..size).map(|k| matrix[k * size + i] * matrix[k * size + j]).sum();
-                    gram[i * stride + j] = sum as f32;
+            for (wide, row) in gram.chunks_exact_mut(stride).zip(blur.gram_matrix(size).rows()) {
+                for (entry, value) in wide.iter_mut().zip(row) {
+                    *entry = *value;
                 }
             }
             Blurred { band: 2 * blur.radius(), blur, gram, stride }
