@@ -17,6 +17,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Protocol
 
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -242,16 +243,16 @@ def load(path: Path) -> Report:
 
 def table(reports: Sequence[Report], title: str = "") -> Table:
     """Reports as a table, one in a row."""
-    result = Table(title=title)
-    for column in ("agent", "success", "95% interval", "trials", "s / search", "ms / step"):
-        result.add_column(column, justify="left" if column == "agent" else "right")
+    result = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1))
+    result.add_column("evaluation", no_wrap=True)
+    for column in ("success", "95%", "s/search", "ms/step"):
+        result.add_column(column, justify="right", no_wrap=True)
     for report in reports:
         low, high = report.interval
         result.add_row(
             report.name,
-            f"{report.success_rate:.0%}",
-            f"{low:.0%} - {high:.0%}",
-            f"{report.successes}/{len(report.trials)}",
+            f"{report.success_rate:.0%} ({report.successes}/{len(report.trials)})",
+            f"{low:.0%}-{high:.0%}",
             f"{report.search_seconds:.2f}" if report.search_seconds > 1e-3 else "-",
             f"{1e3 * report.step_seconds:.1f}",
         )
