@@ -244,7 +244,7 @@ def load(path: Path) -> Report:
 def table(reports: Sequence[Report], title: str = "") -> Table:
     """Reports as a table, one in a row."""
     result = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1))
-    result.add_column("evaluation", no_wrap=True)
+    result.add_column("evaluation")
     for column in ("success", "95%", "s/search", "ms/step"):
         result.add_column(column, justify="right", no_wrap=True)
     for report in reports:
@@ -252,7 +252,7 @@ def table(reports: Sequence[Report], title: str = "") -> Table:
         result.add_row(
             report.name,
             f"{report.success_rate:.0%} ({report.successes}/{len(report.trials)})",
-            f"{low:.0%}-{high:.0%}",
+            f"{100 * low:.0f}-{high:.0%}",
             f"{report.search_seconds:.2f}" if report.search_seconds > 1e-3 else "-",
             f"{1e3 * report.step_seconds:.1f}",
         )
