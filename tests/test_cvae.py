@@ -106,7 +106,7 @@ def test_the_decoder_mirrors_the_encoder(config: CVAEConfig, spatial: tuple[int,
 @given(
     height=st.integers(8, 21), width=st.integers(8, 21), strides=st.tuples(*[st.integers(1, 2)] * 3)
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_any_image_size_is_decoded_to_itself(
     height: int, width: int, strides: tuple[int, int, int]
 ) -> None:
@@ -250,7 +250,7 @@ def test_config_names_a_bad_field(change: dict[str, object], named: str) -> None
     latent=st.lists(st.integers(0, 4), min_size=1, max_size=3),
     scene=st.lists(st.sampled_from([1, 2, 3, 16]), min_size=4, max_size=4),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_decode_takes_its_shapes_and_names_others(latent: list[int], scene: list[int]) -> None:
     model = small()
     fits = len(latent) == 2 and latent[1] == 3

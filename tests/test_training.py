@@ -96,6 +96,7 @@ LOOP = LoopConfig(
     checkpoint_every=4,
     validate_every=5,
     log_every=2,
+    threads=1,
     device="cpu",
 )
 
