@@ -4,7 +4,7 @@
 
 Medians over interleaved repetitions. "of read" is the rate at which a cost goes through its
 input, divided by the read bandwidth: the fastest of several plain reductions over as much memory,
-measured between the others.
+measured in the same run.
 """
 
 from __future__ import annotations
