@@ -11,10 +11,8 @@ import contextlib
 import dataclasses
 import json
 import math
-import os
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -23,20 +21,22 @@ from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from hvf.models.checkpoint import config_to_json, save_model
-from hvf.training.pictures import write_png
+from hvf.training.report import Reporter, Validation
 from hvf.training.state import TrainingState, load_state, save_state
+
+__all__ = [
+    "Batch",
+    "LoopConfig",
+    "Sampler",
+    "Trainable",
+    "Validation",
+    "seeded",
+    "step_seed",
+    "train",
+]
 
 Batch = Mapping[str, torch.Tensor]
 
@@ -72,19 +72,6 @@ class Trainable(Protocol):
             step: number of the step, from 0, for schedules of weights.
         """
         ...
-
-
-@dataclasses.dataclass(frozen=True)
-class Validation:
-    """What a validation found.
-
-    Attributes:
-        metrics: name to value, for TensorBoard, the log and the checkpoint's header.
-        pictures: name to image, uint8 ``[height, width, 3]``.
-    """
-
-    metrics: Mapping[str, float]
-    pictures: Mapping[str, NDArray[np.uint8]] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -231,7 +218,7 @@ def train(
     with (
         _threads(config.threads),
         _Interrupts() as interrupts,
-        _Reporter(out, config.steps, first, console) as report,
+        Reporter(out, config.steps, first, console) as report,
         _Prefetch(sampler, first, config.steps) as batches,
     ):
         generator = torch.Generator(device)
@@ -387,55 +374,3 @@ class _Prefetch:
         if step + 1 < self._steps:
             self._next = self._pool.submit(self._sampler.batch, step + 1)
         return batch
-
-
-class _Reporter:
-    """The progress bar, TensorBoard, the pictures, and one line of text per validation."""
-
-    def __init__(self, out: Path, steps: int, first: int, console: Console) -> None:
-        from torch.utils.tensorboard import SummaryWriter  # a second to import
-
-        self._out = out
-        self._steps = steps
-        self._first = first
-        self._began = time.monotonic()
-        self._console = console
-        self._writer = SummaryWriter(os.fspath(out), purge_step=first + 1 if first else None)
-        self._progress = Progress(
-            TextColumn("training"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("loss {task.fields[loss]}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=console,
-            disable=not console.is_terminal,
-        )
-        self._task = self._progress.add_task("training", total=steps, completed=first, loss="")
-
-    def __enter__(self) -> _Reporter:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-        self._writer.close()
-
-    def training(self, step: int, loss: torch.Tensor, parts: Mapping[str, Any]) -> None:
-        self._progress.update(self._task, completed=step, loss=f"{float(loss):.5g}")
-        self._scalars("train", step, {"loss": loss, **parts})
-
-    def validation(self, step: int, found: Validation) -> None:
-        self._scalars("validation", step, found.metrics)
-        for name, image in found.pictures.items():
-            write_png(self._out / "pictures" / f"{name}_{step:07d}.png", image)
-            self._writer.add_image(name, image, step, dataformats="HWC")
-        spent = time.monotonic() - self._began
-        left = spent / (step - self._first) * (self._steps - step)
-        numbers = "  ".join(f"{name} {float(value):.4g}" for name, value in found.metrics.items())
-        self._console.print(f"step {step}/{self._steps}  {numbers}  ({left / 60:.1f} min left)")
-
-    def _scalars(self, group: str, step: int, values: Mapping[str, Any]) -> None:
-        for name, value in values.items():
-            self._writer.add_scalar(f"{group}/{name}", float(value), step)
