@@ -195,7 +195,7 @@ def test_frames_that_do_not_belong_together_are_refused(count, keypoint_rows, co
     if count == keypoint_rows == code_rows and (bad is None or not count):
         assert len(hvf_core.KeypointFrames(images, keypoints, codes)) == count
     else:
-        with pytest.raises(ValueError, match="keypoints|codes"):
+        with pytest.raises(ValueError, match=r"keypoints|codes"):
             hvf_core.KeypointFrames(images, keypoints, codes)
 
 

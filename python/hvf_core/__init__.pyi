@@ -26,9 +26,7 @@ def maze_locate(images: NDArray[np.uint8]) -> NDArray[np.float64]: ...
 def maze_episodes(
     seed: int, first: int, count: int, difficulty: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
-def maze_subgoals(
-    starts: ArrayLike, targets: ArrayLike, subgoals: int
-) -> NDArray[np.float64]: ...
+def maze_subgoals(starts: ArrayLike, targets: ArrayLike, subgoals: int) -> NDArray[np.float64]: ...
 def maze_collect(
     seed: int, first: int, count: int, steps: int, size: int = 64
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float64]]: ...
@@ -410,3 +408,95 @@ class MazeSubgoals:
     @property
     def latent_dim(self) -> int: ...
     def decode(self, scene: object, latents: ArrayLike) -> MazeFrames: ...
+
+# --- the compact learned dynamics model -----------------------------------------------------
+
+class KeypointFrames:
+    """Frames of a `KeypointWorld`: images, where the moving part is, and a code of the rest.
+
+    Args:
+        images: uint8 `[N, S, S, 3]`.
+        keypoints: float32 `[N, 2]`, (row, column) in [-1, 1].
+        codes: scene codes, float32 `[N, E]`.
+
+    Raises:
+        ValueError: shapes that do not fit each other, or numbers that are not finite.
+    """
+
+    def __init__(
+        self,
+        images: NDArray[np.uint8],
+        keypoints: NDArray[np.float32],
+        codes: NDArray[np.float32],
+    ) -> None: ...
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: NDArray[np.int64]) -> KeypointFrames: ...
+    @property
+    def images(self) -> NDArray[np.uint8]:
+        """The images, uint8 `[N, S, S, 3]` (a copy)."""
+    @property
+    def keypoints(self) -> NDArray[np.float32]:
+        """The keypoints, float32 `[N, 2]` (a copy)."""
+    @property
+    def codes(self) -> NDArray[np.float32]:
+        """The scene codes, float32 `[N, E]` (a copy)."""
+
+class KeypointWorld:
+    """The compact learned dynamics model, evaluated in Rust; a world model.
+
+    `hvf.worlds.learned.LearnedWorld` makes one from a trained `hvf.models.KeypointDynamics`.
+    The cost is the squared pixel distance of the predicted frame to the goal, per pixel, in closed
+    form. A candidate costs `H * hidden**2` multiply-adds.
+
+    Args:
+        input: weights of the first layer, float32 `[hidden, 2 + A + E]`.
+        input_bias: float32 `[hidden]`.
+        middle: float32 `[hidden, hidden]`.
+        middle_bias: float32 `[hidden]`.
+        output: float32 `[2, hidden]`.
+        output_bias: float32 `[2]`.
+        action_scale: number by which actions are divided.
+        half_size: half the sprite's size along rows and columns, in pixels.
+        edge: width of its soft edge along rows and columns, in pixels.
+        colour: its colour relative to the background, in units of full intensity.
+        action_low: lowest action, `[A]`.
+        action_high: highest action, `[A]`.
+        image_size: height and width of the images, `S`.
+        blur: standard deviation of the Gaussian blur before frames are compared, in pixels.
+        over_horizon: `"last"`, `"sum"` or `"min"` over the predicted frames.
+
+    Raises:
+        ValueError: shapes that do not fit each other, or numbers out of range.
+    """
+
+    def __init__(
+        self,
+        *,
+        input: NDArray[np.float32],
+        input_bias: NDArray[np.float32],
+        middle: NDArray[np.float32],
+        middle_bias: NDArray[np.float32],
+        output: NDArray[np.float32],
+        output_bias: NDArray[np.float32],
+        action_scale: float,
+        half_size: Sequence[float],
+        edge: Sequence[float],
+        colour: Sequence[float],
+        action_low: Sequence[float],
+        action_high: Sequence[float],
+        image_size: int,
+        blur: float = 0.0,
+        over_horizon: Literal["last", "sum", "min"] = "last",
+    ) -> None: ...
+    @property
+    def action_low(self) -> NDArray[np.float32]:
+        """Lowest action, float32 `[A]`."""
+    @property
+    def action_high(self) -> NDArray[np.float32]:
+        """Highest action, float32 `[A]`."""
+    def rollout_costs(
+        self, starts: KeypointFrames, goals: KeypointFrames, actions: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
+    def rollout(self, start: KeypointFrames, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Predicted keypoints float32 `[D, H, 2]` of `actions [D, H, A]` from one frame."""

@@ -26,9 +26,8 @@ impl PyKeypointFrames {
         keypoints: PyReadonlyArray2<'_, f32>,
         codes: PyReadonlyArray2<'_, f32>,
     ) -> PyResult<Self> {
-        let inner =
-            KeypointFrames::new(images.as_array(), keypoints.as_array(), codes.as_array())
-                .map_err(to_py)?;
+        let inner = KeypointFrames::new(images.as_array(), keypoints.as_array(), codes.as_array())
+            .map_err(to_py)?;
         Ok(Self { inner })
     }
 
@@ -168,8 +167,7 @@ impl PyKeypointWorld {
         actions: PyReadonlyArray3<'py, f32>,
     ) -> PyResult<Bound<'py, PyArray3<f32>>> {
         let actions = actions.as_array().to_owned();
-        let path =
-            py.detach(|| self.inner.rollout(&start.inner, actions.view())).map_err(to_py)?;
+        let path = py.detach(|| self.inner.rollout(&start.inner, actions.view())).map_err(to_py)?;
         Ok(path.into_pyarray(py))
     }
 }

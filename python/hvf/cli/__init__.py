@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "hvf.cli.train:keypoint_generator",
         "Train the generator of subgoals for the compact dynamics model.",
     ),
+    "export weights": ("hvf.cli.export:weights", "Copy a trained model at half its size."),
     "eval maze": ("hvf.cli.evaluate:maze", "Success of an agent in the maze, with its interval."),
     "plan maze": ("hvf.cli.plan:maze", "Plan and act in one episode of the maze; pictures."),
     "demo maze": ("hvf.cli.demo:maze", "Reach a few goal images with and without subgoals."),

@@ -69,9 +69,9 @@ class MazePlanning:
     keep_elites: int = 0
     warm_start: bool = False
     blur: float = 3.0
-    over_horizon: Literal["last", "sum", "min"] = "last"
-    subgoal_samples: int = 200
-    subgoal_elites: int = 40
+    over_horizon: Literal["last", "sum", "min"] = "min"
+    subgoal_samples: int = 100
+    subgoal_elites: int = 20
     subgoal_iterations: int = 5
     reduction: Literal["max", "mean"] = "max"
     steps: int = 50
@@ -95,7 +95,13 @@ class MazePlanning:
         if name == "default":
             return cls()
         if name == "paper":
-            return cls(initial="normal", blur=0.0)
+            return cls(
+                initial="normal",
+                blur=0.0,
+                over_horizon="last",
+                subgoal_samples=200,
+                subgoal_elites=40,
+            )
         raise ValueError(f"preset: must be 'default' or 'paper', got {name!r}")
 
     @property

@@ -134,6 +134,27 @@ def load_model(
     return model.to(device).eval()
 
 
+def export_half(source: str | Path, target: str | Path) -> int:
+    """Copy the checkpoint at ``source`` to ``target`` in half precision; returns its bytes.
+
+    :func:`load_model` reads either; sums and products are in single precision all the same.
+
+    Raises:
+        FileNotFoundError: no file at ``source``.
+        ValueError: not a checkpoint of this program, or weights beyond half precision's range.
+        OSError: ``target`` cannot be written.
+    """
+    tensors, metadata = read_tensors(source)
+    _header(source, metadata)
+    halves = {}
+    for name, tensor in tensors.items():
+        halves[name] = tensor.half() if tensor.is_floating_point() else tensor
+        if tensor.is_floating_point() and not bool(torch.isfinite(halves[name]).all()):
+            raise ValueError(f"{source}: {name} does not fit into half precision")
+    write_tensors(Path(target), halves, metadata)
+    return Path(target).stat().st_size
+
+
 def load_weights(
     path: str | Path, model: torch.nn.Module, tensors: Mapping[str, torch.Tensor]
 ) -> None:

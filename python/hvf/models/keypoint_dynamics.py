@@ -11,7 +11,7 @@ closed form and planning never decodes a frame. The planner runs this model in R
 
 The residual network ("cell") learns how an action moves the keypoint, given a code of what does
 not move (the walls), from the keypoints that perception found in consecutive frames. The code is
-learned with it; a small decoder that must rebuild the background from the code helps it on.
+learned with it, from the principal components of the backgrounds.
 
 Letters in shapes: `N` frames, `S` image size, `E` scene code, `A` action dimensions, `H` steps.
 Keypoints here are (row, column) in [-1, 1], pixel centres of the first and last row at -1 and 1.
@@ -43,16 +43,16 @@ class DynamicsConfig:
         action_dim: action dimensions, `A`.
         action_scale: largest absolute action; actions are divided by it.
         scene_dim: length of the scene code, `E`.
+        scene_components: principal components of the backgrounds that the code is made from.
         hidden: width of the cell's two hidden layers (a multiple of 4).
-        background_weight: weight of rebuilding the background from the scene code.
     """
 
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     action_dim: int = 2
     action_scale: float = 3.0
     scene_dim: int = 8
-    hidden: int = 128
-    background_weight: float = 1.0
+    scene_components: int = 48
+    hidden: int = 64
 
     def __post_init__(self) -> None:
         if self.action_dim < 1:
@@ -63,16 +63,16 @@ class DynamicsConfig:
             raise ValueError(f"scene_dim must be at least 1, got {self.scene_dim}")
         if self.hidden < 4 or self.hidden % 4:
             raise ValueError(f"hidden must be a positive multiple of 4, got {self.hidden}")
-        if not self.background_weight >= 0:
-            raise ValueError(
-                f"background_weight must not be negative, got {self.background_weight}"
-            )
+        if self.scene_components < 1:
+            raise ValueError(f"scene_components must be at least 1, got {self.scene_components}")
 
 
 class KeypointDynamics(nn.Module):
     """Perception, scene code and cell; see the module's documentation."""
 
     config_type: ClassVar[type[DynamicsConfig]] = DynamicsConfig
+    scene_mean: Tensor
+    scene_basis: Tensor
 
     def __init__(self, config: DynamicsConfig) -> None:
         super().__init__()
@@ -80,15 +80,14 @@ class KeypointDynamics(nn.Module):
         size, hidden = config.perception.image_size, config.hidden
         self.perception = KeypointPerception(config.perception)
         pooled = size * (size // POOLED_COLUMNS)
+        self.register_buffer("scene_mean", torch.zeros(pooled))
+        self.register_buffer("scene_basis", torch.zeros(pooled, config.scene_components))
         self.scene = nn.Sequential(
-            nn.Linear(pooled, 128),
+            nn.Linear(config.scene_components, 64),
             nn.ReLU(),
-            nn.Linear(128, 64),
+            nn.Linear(64, 64),
             nn.ReLU(),
             nn.Linear(64, config.scene_dim),
-        )
-        self.scene_decoder = nn.Sequential(
-            nn.Linear(config.scene_dim, 128), nn.ReLU(), nn.Linear(128, pooled)
         )
         self.input = nn.Linear(2 + config.action_dim + config.scene_dim, hidden)
         self.middle = nn.Linear(hidden, hidden)
@@ -124,8 +123,23 @@ class KeypointDynamics(nn.Module):
 
     def scene_code(self, pooled: Tensor) -> Tensor:
         """Scene codes `[N, E]` from `pooled [N, S * S / 4]` backgrounds."""
-        code: Tensor = self.scene(4.0 * (pooled - 0.25))
+        code: Tensor = self.scene((pooled - self.scene_mean) @ self.scene_basis)
         return code
+
+    def fit_scene_basis(self, pooled: Tensor) -> KeypointDynamics:
+        """Set the scene's principal components, whitened, from `pooled [P, S * S / 4]`.
+
+        Components of the pixels' noise (the smallest ones) are not blown up.
+        """
+        mean = pooled.double().mean(dim=0)
+        centred = pooled.double() - mean
+        variance, basis = torch.linalg.eigh(centred.T @ centred / len(pooled))
+        count = self.config.scene_components
+        variance, basis = variance[-count:].flip(0), basis[:, -count:].flip(1)
+        scale = (variance + 1e-3 * variance[0]).rsqrt()
+        self.scene_mean.copy_(mean)
+        self.scene_basis.copy_(basis * scale)
+        return self
 
     def draw(self, images: Tensor, before: Tensor, after: Tensor) -> Tensor:
         """Frames `[N, 3, S, S]` in which the moving part went from `before` to `after` `[N, 2]`."""
@@ -150,7 +164,7 @@ class KeypointDynamics(nn.Module):
     def loss(
         self, batch: Mapping[str, Tensor], generator: torch.Generator, step: int
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Error of one predicted step, in pixels, and of the rebuilt background.
+        """Error of one predicted step, in pixels.
 
         The batch holds, for `G` scenes with `B` transitions each: `pooled [G, S * S / 4]`
         (backgrounds), `before` and `after` `[G, B, 2]` (keypoints), `actions [G, B, A]`.
@@ -165,7 +179,4 @@ class KeypointDynamics(nn.Module):
         # The outcome at walls and gaps is all but discontinuous; a distance that grows linearly
         # asks for the median of what may happen, a squared one would ask for the blurred mean.
         error = (missed.square().sum(dim=-1) + 1e-2).sqrt().mean()
-        rebuilt = self.scene_decoder(codes)
-        background_error = (rebuilt - batch["pooled"]).square().sum(dim=1).mean()
-        loss = error + self.config.background_weight * background_error
-        return loss, {"step_pixels": error.detach(), "background": background_error.detach()}
+        return error, {"step_pixels": error.detach()}

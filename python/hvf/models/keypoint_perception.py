@@ -16,14 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from hvf.models.frames import to_unit
-
 
 _SHARPNESS = 10.0
 """Of the softplus that keeps the mask positive: a rectifier would die before the mask forms."""
@@ -67,13 +66,10 @@ class KeypointPerception(nn.Module):
     def __init__(self, config: PerceptionConfig) -> None:
         super().__init__()
         self.config = config
-        self.mask = nn.Sequential(
-            nn.Conv2d(3, config.channels, 3, padding=1),
-            nn.ReLU(),
-            nn.Conv2d(config.channels, 1, 1),
-        )
+        last = nn.Conv2d(config.channels, 1, 1)
+        self.mask = nn.Sequential(nn.Conv2d(3, config.channels, 3, padding=1), nn.ReLU(), last)
         # Nearly empty to begin with, but not so empty that nothing can grow.
-        nn.init.constant_(self.mask[-1].bias, -0.2)
+        nn.init.constant_(cast(Tensor, last.bias), -0.2)
         # A wide, soft sprite to begin with: its gradient reaches further.
         self.log_half_size = nn.Parameter(torch.full((2,), 3.0).log())
         self.log_edge = nn.Parameter(torch.full((2,), 3.0).log())

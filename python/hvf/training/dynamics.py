@@ -55,11 +55,11 @@ class DynamicsTraining:
         threads=1,
     )
     loop: LoopConfig = LoopConfig(
-        steps=30_000,
+        steps=20_000,
         learning_rate=3e-3,
         schedule="cosine",
         warmup_steps=200,
-        validate_every=3000,
+        validate_every=4000,
         checkpoint_every=1000,
         threads=1,
     )
@@ -109,6 +109,7 @@ def train_dynamics(config: DynamicsTraining, console: Console | None = None) -> 
     console.print("cell: how actions move the keypoint")
     training = pool.metadata.episodes - len(held_out)
     data = Transitions(config.data, model, min(config.episodes, training), console=console)
+    model.fit_scene_basis(torch.from_numpy(data.pooled[:, 0]))
     return train(
         model,
         TransitionSampler(data, config.scenes, config.transitions, seed),
@@ -137,8 +138,8 @@ def validate_perception(model: KeypointPerception, held_out: EpisodePool) -> Val
     mask = model.motion_mask(images)
     pixels = model.centroid(mask)
     background = model.background(images, pixels)
-    pairs = background.unflatten(0, (-1, 2))
-    difference = images.unflatten(0, (-1, 2))
+    pairs = background.reshape(-1, 2, *background.shape[1:])
+    difference = images.reshape(-1, 2, *images.shape[1:])
     unexplained = (pairs[:, 0] - pairs[:, 1]).square().sum() / (
         (difference[:, 0] - difference[:, 1]).square().sum().clamp_min(1e-9)
     )
@@ -163,9 +164,9 @@ def validate_dynamics(model: KeypointDynamics, held_out: EpisodePool) -> Validat
     episodes, steps = held_out.actions.shape[:2]
     starts = np.arange(0, steps - _HORIZON + 1, _HORIZON)
     every = torch.from_numpy(frames[:, ::_HORIZON]).flatten(0, 1)
-    observed = [model.observe(part.to(device)) for part in every.split(512)]
-    keypoints = torch.cat([k for k, _ in observed]).unflatten(0, (episodes, -1))
-    codes = torch.cat([c for _, c in observed]).unflatten(0, (episodes, -1))
+    observed = [model.observe(part.to(device)) for part in torch.split(every, 512)]
+    keypoints = torch.cat([k for k, _ in observed]).reshape(episodes, -1, 2)
+    codes = torch.cat([c for _, c in observed]).reshape(episodes, keypoints.shape[1], -1)
     windows = len(starts)
     index = starts[:, None] + np.arange(_HORIZON)
     actions = torch.from_numpy(held_out.actions[:, index]).flatten(0, 1).to(device)
@@ -174,7 +175,7 @@ def validate_dynamics(model: KeypointDynamics, held_out: EpisodePool) -> Validat
     )
     ends = keypoints[:, 1 : windows + 1].flatten(0, 1)
     first = torch.from_numpy(frames[:, starts + 1]).flatten(0, 1)
-    after_one = torch.cat([model.observe(part.to(device))[0] for part in first.split(512)])
+    after_one = torch.cat([model.observe(part.to(device))[0] for part in torch.split(first, 512)])
     one = (model.to_pixels(path[:, 0]) - model.to_pixels(after_one)).norm(dim=1)
     five = (model.to_pixels(path[:, -1]) - model.to_pixels(ends)).norm(dim=1)
     metrics = {

@@ -63,11 +63,13 @@ class Transitions:
                 part = slice(begin, begin + count)
                 with torch.inference_mode():
                     images = to_unit(torch.from_numpy(frames[:count]).flatten(0, 1).to(device))
-                    pixels = model.perception.keypoints(images).unflatten(0, (count, -1))
-                    ends = images.unflatten(0, (count, -1))[:, [0, -1]].flatten(0, 1)
+                    pixels = model.perception.keypoints(images).reshape(count, steps + 1, 2)
+                    ends = images.reshape(count, steps + 1, *images.shape[1:])[:, [0, -1]].flatten(
+                        0, 1
+                    )
                     background = model.pooled_background(ends, pixels[:, [0, -1]].flatten(0, 1))
                 self.keypoints[part] = model.to_keypoints(pixels).cpu().numpy()
-                pooled.append(background.unflatten(0, (count, 2)).cpu().numpy())
+                pooled.append(background.reshape(count, 2, -1).cpu().numpy())
         self.pooled = np.concatenate(pooled)
 
 

@@ -86,11 +86,10 @@ class LearnedWorld:
         device = self.dynamics.perception.colour.device
         with torch.inference_mode():
             tensor = torch.from_numpy(np.ascontiguousarray(images))
-            parts = [
-                self.dynamics.observe(part.to(device)) for part in tensor.split(_IMAGES_AT_ONCE)
-            ]
-            keypoints = torch.cat([keypoint for keypoint, _ in parts]).cpu().numpy()
-            codes = torch.cat([code for _, code in parts]).cpu().numpy()
+            parts = torch.split(tensor, _IMAGES_AT_ONCE)
+            observed = [self.dynamics.observe(part.to(device)) for part in parts]
+            keypoints = torch.cat([keypoint for keypoint, _ in observed]).cpu().numpy()
+            codes = torch.cat([code for _, code in observed]).cpu().numpy()
         return hvf_core.KeypointFrames(images, keypoints, codes)
 
     def rollout_costs(

@@ -186,7 +186,13 @@ impl KeypointWorld {
         Ok(())
     }
 
-    fn terms(&self, starts: &KeypointFrames, s: usize, goals: &KeypointFrames, g: usize) -> GoalTerms {
+    fn terms(
+        &self,
+        starts: &KeypointFrames,
+        s: usize,
+        goals: &KeypointFrames,
+        g: usize,
+    ) -> GoalTerms {
         let mut residual: Vec<f32> = starts
             .image(s)
             .iter()
@@ -250,12 +256,19 @@ impl KeypointWorld {
         path.axis_chunks_iter_mut(Axis(0), LANES).into_par_iter().enumerate().for_each_init(
             || self.scratch(),
             |scratch, (block, mut out)| {
-                self.roll(start.keypoint(0), &scene_bias, actions, block * LANES, scratch, |step, at| {
-                    for lane in 0..out.len_of(Axis(0)) {
-                        out[[lane, step, 0]] = at[0][lane];
-                        out[[lane, step, 1]] = at[1][lane];
-                    }
-                });
+                self.roll(
+                    start.keypoint(0),
+                    &scene_bias,
+                    actions,
+                    block * LANES,
+                    scratch,
+                    |step, at| {
+                        for lane in 0..out.len_of(Axis(0)) {
+                            out[[lane, step, 0]] = at[0][lane];
+                            out[[lane, step, 1]] = at[1][lane];
+                        }
+                    },
+                );
             },
         );
         Ok(path)
@@ -269,7 +282,10 @@ struct Scratch {
 
 fn check_actions(problems: usize, expected: usize, dim: usize, expected_dim: usize) -> Result<()> {
     if problems != expected {
-        return Err(Error::invalid("actions", format!("expected {expected} problems, got {problems}")));
+        return Err(Error::invalid(
+            "actions",
+            format!("expected {expected} problems, got {problems}"),
+        ));
     }
     if dim != expected_dim {
         return Err(Error::invalid(
