@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "export weights": ("hvf.cli.export:weights", "Copy a trained model at half its size."),
     "eval maze": ("hvf.cli.evaluate:maze", "Success of an agent in the maze, with its interval."),
+    "results maze": ("hvf.cli.results:maze", "Evaluations in a folder as a Markdown table."),
     "plan maze": ("hvf.cli.plan:maze", "Plan and act in one episode of the maze; pictures."),
     "demo maze": ("hvf.cli.demo:maze", "Reach a few goal images with and without subgoals."),
 }

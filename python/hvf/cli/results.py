@@ -1,0 +1,186 @@
+"""``hvf results``: evaluations as a table for the README."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, get_args
+
+import tyro
+
+from hvf.evaluation.evaluate import Report, load
+from hvf.evaluation.maze import TEST_SEED, AgentName, Difficulty, MazePlanning, Preset
+
+DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
+
+PAPER: dict[tuple[AgentName, int], dict[str, float]] = {
+    ("none", 0): {"easy": 0.93, "medium": 0.68, "hard": 0.33},
+    ("hvf", 1): {"hard": 0.47},
+    ("hvf", 2): {"hard": 0.54},
+}
+"""Success rates that Nair & Finn (ICLR 2020) give in tables, 100 trials each: pixel cost without
+subgoals, and numbers of subgoals on hard. Their other maze results are in a bar chart only."""
+
+
+class Row(NamedTuple):
+    """What the evaluations in one row of the table share."""
+
+    settings: str
+    world: str
+    agent: AgentName
+    subgoals: int
+
+    @property
+    def agent_name(self) -> str:
+        """As the table has it."""
+        return {
+            "none": "no subgoals",
+            "hvf": f"HVF-{self.subgoals}",
+            "ground-truth": f"ground truth-{self.subgoals}",
+            "random": "random",
+        }[self.agent]
+
+
+@dataclasses.dataclass(frozen=True)
+class ResultsMaze:
+    """A table of evaluations of the maze.
+
+    Attributes:
+        folder: the JSON files that ``hvf eval maze`` wrote.
+    """
+
+    folder: tyro.conf.Positional[Path]
+
+
+def maze(config: Annotated[ResultsMaze, tyro.conf.arg(name="")]) -> None:
+    """Print the evaluations in a folder as a Markdown table, with the paper's results below.
+
+    Cells are success rates with 95% Wilson intervals, and the number of trials if it is not 100.
+    Example: hvf results maze results/maze
+    """
+    print(markdown(read(config.folder)))
+
+
+def read(folder: Path) -> dict[Path, Report]:
+    """The reports in a folder.
+
+    Raises:
+        FileNotFoundError: no such folder, or no JSON files in it.
+        ValueError: a JSON file that is not a report.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"folder: {folder} is not a folder")
+    reports = {path: load(path) for path in sorted(folder.glob("*.json"))}
+    if not reports:
+        raise FileNotFoundError(f"folder: {folder} has no evaluations (*.json)")
+    return reports
+
+
+def markdown(reports: Mapping[Path, Report]) -> str:
+    """Reports as a Markdown table.
+
+    Args:
+        reports: evaluations of the maze, by the file that they are from.
+
+    Raises:
+        ValueError: a report that is not of the maze, or two of the same thing that disagree.
+    """
+    rows: dict[Row, dict[str, Report]] = {}
+    for path, report in reports.items():
+        if not report.trials:
+            continue
+        row, difficulty = _place(path, report)
+        other = rows.setdefault(row, {}).setdefault(difficulty, report)
+        if _outcomes(other) != _outcomes(report):
+            raise ValueError(
+                f"folder: {path} and another file are of the same evaluation ({report.name}, "
+                f"{row.settings}) with different results"
+            )
+    lines = [
+        "| settings | world | agent | easy | medium | hard | s/search | ms/step |",
+        "|---|---|---|---:|---:|---:|---:|---:|",
+    ]
+    for row in sorted(rows, key=_order):
+        cells = rows[row]
+        rates = [_cell(cells[name]) if name in cells else "" for name in DIFFICULTIES]
+        lines.append(_line([*row[:2], row.agent_name, *rates, *_seconds(cells.values())]))
+    for (agent, subgoals), published in PAPER.items():
+        row = Row("ICLR 2020, tables", "learned (SV2P)", agent, subgoals)
+        rates = [f"{published[name]:.0%}" if name in published else "" for name in DIFFICULTIES]
+        lines.append(_line([*row[:2], row.agent_name, *rates, "", ""]))
+    return "\n".join([*lines, *_notes(rows)])
+
+
+def _place(path: Path, report: Report) -> tuple[Row, str]:
+    """Row and column of a report."""
+    try:
+        config = report.config
+        agent, subgoals, difficulty = config["agent"], config["subgoals"], config["difficulty"]
+        settings = _settings(MazePlanning(**config["planning"]), config["seed"])
+        generator = "" if config["generator"] == "default" else f" ({config['generator']})"
+        world = config["model"] + (generator if agent == "hvf" else "")
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: is not an evaluation of the maze ({error})") from error
+    if agent not in get_args(AgentName) or difficulty not in DIFFICULTIES:
+        raise ValueError(f"{path}: is not an evaluation of the maze ({agent}, {difficulty})")
+    if agent == "random":
+        settings, world = "", ""
+    return Row(settings, world, agent, 0 if agent in ("none", "random") else subgoals), difficulty
+
+
+def _settings(planning: MazePlanning, seed: int) -> str:
+    """The nearest preset, and in what the settings differ from it."""
+    found = dataclasses.asdict(planning)
+    differences: dict[str, dict[str, Any]] = {}
+    for preset in get_args(Preset):
+        named = dataclasses.asdict(MazePlanning.preset(preset))
+        differences[preset] = {name: found[name] for name in found if found[name] != named[name]}
+    nearest = min(differences, key=lambda preset: len(differences[preset]))
+    words = [nearest, *(f"{name} {value}" for name, value in differences[nearest].items())]
+    return ", ".join(words if seed == TEST_SEED else [*words, f"seed {seed}"])
+
+
+def _order(row: Row) -> tuple[bool, str, str, int, int]:
+    """Random last; learned models before the simulator; few subgoals first."""
+    agents = ("none", "hvf", "ground-truth", "random")
+    return row.agent == "random", row.settings, row.world, agents.index(row.agent), row.subgoals
+
+
+def _cell(report: Report) -> str:
+    low, high = report.interval
+    count = "" if len(report.trials) == 100 else f" (n = {len(report.trials)})"
+    return f"{report.success_rate:.0%} [{100 * low:.0f}, {100 * high:.0f}]{count}"
+
+
+def _seconds(reports: Iterable[Report]) -> tuple[str, str]:
+    """Mean seconds per search and milliseconds per step over all trials of a row."""
+    first, *others = reports
+    trials = first.trials + tuple(trial for report in others for trial in report.trials)
+    pooled = dataclasses.replace(first, trials=trials)
+    search = f"{pooled.search_seconds:.2f}" if pooled.search_seconds > 1e-3 else ""
+    return search, f"{1e3 * pooled.step_seconds:.1f}"
+
+
+def _notes(rows: Mapping[Row, Mapping[str, Report]]) -> list[str]:
+    """What a reader has to know about the rows: code that made them, weights that differ."""
+    all_reports = [report for cells in rows.values() for report in cells.values()]
+    commits = {str(report.provenance.get("commit")) for report in all_reports}
+    short = sorted(" ".join([commit[:10], *commit.split()[1:]]) for commit in commits)
+    weights = {
+        name: {report.config.get("sha256", {}).get(name) for report in all_reports} - {None}
+        for name in ("dynamics", "keypoint_generator", "cvae")
+    }
+    mixed = [name for name, sums in weights.items() if len(sums) > 1]
+    notes = ["", f"Code: {', '.join(short)}."]
+    if mixed:
+        notes.append(f"Not all rows are of the same weights: {', '.join(mixed)} differ.")
+    return notes
+
+
+def _outcomes(report: Report) -> list[tuple[int, bool]]:
+    return [(trial.index, trial.success) for trial in report.trials]
+
+
+def _line(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
