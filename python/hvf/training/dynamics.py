@@ -34,17 +34,20 @@ class DynamicsTraining:
         pairs: pairs of images per step while perception is trained.
         scenes: scenes per step while the cell is trained.
         transitions: transitions per scene and step.
+        hard_fraction: transitions that the first pass predicts worst and the second draws more.
         model: the network.
         perception_loop: how to optimise perception.
-        loop: how to optimise the cell and the scene code.
+        first_loop: how to optimise the cell in the first pass.
+        loop: how to optimise it in the second.
     """
 
     data: Path
     out: Path = Path("runs/dynamics")
-    episodes: int = 4000
+    episodes: int = 3000
     pairs: int = 32
     scenes: int = 32
     transitions: int = 64
+    hard_fraction: float = 0.05
     model: DynamicsConfig = DynamicsConfig()
     perception_loop: LoopConfig = LoopConfig(
         steps=800,
@@ -54,12 +57,21 @@ class DynamicsTraining:
         checkpoint_every=200,
         threads=1,
     )
-    loop: LoopConfig = LoopConfig(
-        steps=20_000,
+    first_loop: LoopConfig = LoopConfig(
+        steps=3000,
         learning_rate=3e-3,
         schedule="cosine",
         warmup_steps=200,
-        validate_every=4000,
+        validate_every=1500,
+        checkpoint_every=1000,
+        threads=1,
+    )
+    loop: LoopConfig = LoopConfig(
+        steps=10_000,
+        learning_rate=3e-3,
+        schedule="cosine",
+        warmup_steps=200,
+        validate_every=2500,
         checkpoint_every=1000,
         threads=1,
     )
@@ -68,6 +80,8 @@ class DynamicsTraining:
         for name in ("episodes", "pairs", "scenes", "transitions"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not 0 < self.hard_fraction < 1:
+            raise ValueError(f"hard_fraction must be between 0 and 1, got {self.hard_fraction}")
 
 
 def train_dynamics(config: DynamicsTraining, console: Console | None = None) -> KeypointDynamics:
@@ -110,18 +124,37 @@ def train_dynamics(config: DynamicsTraining, console: Console | None = None) -> 
     training = pool.metadata.episodes - len(held_out)
     data = Transitions(config.data, model, min(config.episodes, training), console=console)
     model.fit_scene_basis(torch.from_numpy(data.pooled[:, 0]))
-    return train(
+    run = {
+        **run,
+        "episodes": config.episodes,
+        "scenes": config.scenes,
+        "transitions": config.transitions,
+        "perception_steps": config.perception_loop.steps,
+    }
+    console.print("cell, first pass: transitions drawn uniformly")
+    model = train(
         model,
         TransitionSampler(data, config.scenes, config.transitions, seed),
+        config.first_loop,
+        config.out / "first_pass",
+        environment="maze",
+        run=run,
+        validate=lambda trained, _: validate_dynamics(trained, held_out),
+        console=console,
+    )
+    # Passing a gap is 2% of random play and unlike the rest: drawn uniformly, it is not learned.
+    hard = data.hardest(model, config.hard_fraction)
+    console.print("cell, second pass: half of the transitions from those predicted worst")
+    return train(
+        model,
+        TransitionSampler(data, config.scenes, config.transitions, seed + 1, hard),
         config.loop,
         config.out,
         environment="maze",
         run={
             **run,
-            "episodes": config.episodes,
-            "scenes": config.scenes,
-            "transitions": config.transitions,
-            "perception_steps": config.perception_loop.steps,
+            "first_steps": config.first_loop.steps,
+            "hard_fraction": config.hard_fraction,
         },
         validate=lambda trained, _: validate_dynamics(trained, held_out),
         console=console,

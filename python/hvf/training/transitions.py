@@ -72,16 +72,36 @@ class Transitions:
                 pooled.append(background.reshape(count, 2, -1).cpu().numpy())
         self.pooled = np.concatenate(pooled)
 
+    def hardest(self, model: KeypointDynamics, fraction: float) -> NDArray[np.bool_]:
+        """The transitions ``[P, T]`` that ``model`` predicts worst: this ``fraction`` of them."""
+        errors = []
+        with torch.inference_mode():
+            codes = model.scene_code(torch.from_numpy(self.pooled[:, 0]))
+            for i, code in enumerate(codes):
+                before, after = torch.from_numpy(self.keypoints[i]).unfold(0, 2, 1).unbind(-1)
+                actions = torch.from_numpy(self.actions[i])
+                predicted = model.step(before, code.expand(len(before), -1), actions)
+                errors.append((predicted - after).norm(dim=1).numpy())
+        error = np.stack(errors)
+        return np.asarray(error > np.quantile(error, 1.0 - fraction))
+
 
 class TransitionSampler:
-    """Transitions of a few scenes at a time, drawn uniformly.
+    """Transitions of a few scenes at a time.
 
-    More than half of the transitions of random play in the maze touch a wall, so contact needs no
-    larger share. Batches hold ``pooled`` float32 ``[G, S * S / 4]``, ``before`` and ``after``
+    Without ``hard`` they are drawn uniformly; with it, half of them from those marked there, where
+    an episode has any. Batches hold ``pooled`` float32 ``[G, S * S / 4]``, ``before`` and ``after``
     float32 ``[G, B, 2]``, ``actions`` float32 ``[G, B, A]``.
     """
 
-    def __init__(self, data: Transitions, scenes: int, transitions: int, seed: int) -> None:
+    def __init__(
+        self,
+        data: Transitions,
+        scenes: int,
+        transitions: int,
+        seed: int,
+        hard: NDArray[np.bool_] | None = None,
+    ) -> None:
         for name, value in (("scenes", scenes), ("transitions", transitions)):
             if value < 1:
                 raise ValueError(f"{name} must be at least 1, got {value}")
@@ -89,13 +109,21 @@ class TransitionSampler:
         self._scenes = scenes
         self._transitions = transitions
         self._seed = seed
+        marked = np.zeros(data.actions.shape[:2], bool) if hard is None else hard
+        # Times of every episode, the marked ones first.
+        self._order = np.argsort(~marked, axis=1, kind="stable")
+        self._marked = marked.sum(axis=1)
 
     def batch(self, step: int) -> Mapping[str, torch.Tensor]:
         """The batch of training step ``step``, a function of (seed, step)."""
         data, rng = self._data, np.random.default_rng([self._seed, step])
         episodes, steps = data.actions.shape[:2]
         episode = rng.integers(episodes, size=(self._scenes, 1))
-        time = rng.integers(steps, size=(self._scenes, self._transitions))
+        choices = np.full((self._scenes, self._transitions), steps)
+        marked = self._marked[episode]
+        choices[:, : self._transitions // 2] = np.where(marked > 0, marked, steps)
+        place = (rng.random(choices.shape) * choices).astype(np.int64)
+        time = self._order[episode, place]
         return {
             "pooled": torch.from_numpy(data.pooled[episode[:, 0], rng.integers(2)]),
             "before": torch.from_numpy(data.keypoints[episode, time]),
