@@ -51,7 +51,7 @@ class DynamicsConfig:
     perception: PerceptionConfig = field(default_factory=PerceptionConfig)
     action_dim: int = 2
     action_scale: float = 3.0
-    scene_dim: int = 48
+    scene_dim: int = 16
     hidden: int = 96
     outlier_weight: float = 0.1
 

@@ -35,6 +35,7 @@ class DynamicsTraining:
         scenes: scenes per step while the cell is trained.
         transitions: transitions per scene and step.
         hard_fraction: transitions that the first pass predicts worst and the second draws more.
+        hard_share: share of each scene's transitions that the second pass draws from these.
         model: the network.
         perception_loop: how to optimise perception.
         first_loop: how to optimise the cell in the first pass.
@@ -48,6 +49,7 @@ class DynamicsTraining:
     scenes: int = 32
     transitions: int = 64
     hard_fraction: float = 0.05
+    hard_share: float = 0.125
     model: DynamicsConfig = DynamicsConfig()
     perception_loop: LoopConfig = LoopConfig(
         steps=800,
@@ -67,11 +69,11 @@ class DynamicsTraining:
         threads=1,
     )
     loop: LoopConfig = LoopConfig(
-        steps=10_000,
+        steps=20_000,
         learning_rate=3e-3,
         schedule="cosine",
         warmup_steps=200,
-        validate_every=2500,
+        validate_every=5000,
         checkpoint_every=1000,
         threads=1,
     )
@@ -80,8 +82,9 @@ class DynamicsTraining:
         for name in ("episodes", "pairs", "scenes", "transitions"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 < self.hard_fraction < 1:
-            raise ValueError(f"hard_fraction must be between 0 and 1, got {self.hard_fraction}")
+        for name in ("hard_fraction", "hard_share"):
+            if not 0 < getattr(self, name) < 1:
+                raise ValueError(f"{name} must be between 0 and 1, got {getattr(self, name)}")
 
 
 def train_dynamics(config: DynamicsTraining, console: Console | None = None) -> KeypointDynamics:
@@ -144,10 +147,12 @@ def train_dynamics(config: DynamicsTraining, console: Console | None = None) -> 
     )
     # Passing a gap is 2% of random play and unlike the rest: drawn uniformly, it is not learned.
     hard = data.hardest(model, config.hard_fraction)
-    console.print("cell, second pass: half of the transitions from those predicted worst")
+    console.print("cell, second pass: more of the transitions that were predicted worst")
     return train(
         model,
-        TransitionSampler(data, config.scenes, config.transitions, seed + 1, hard),
+        TransitionSampler(
+            data, config.scenes, config.transitions, seed + 1, hard, config.hard_share
+        ),
         config.loop,
         config.out,
         environment="maze",
@@ -155,6 +160,7 @@ def train_dynamics(config: DynamicsTraining, console: Console | None = None) -> 
             **run,
             "first_steps": config.first_loop.steps,
             "hard_fraction": config.hard_fraction,
+            "hard_share": config.hard_share,
         },
         validate=lambda trained, _: validate_dynamics(trained, held_out),
         console=console,

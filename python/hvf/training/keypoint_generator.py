@@ -42,15 +42,15 @@ class GeneratorTraining:
     data: Path
     dynamics: Path = Path("runs/dynamics/model.safetensors")
     out: Path = Path("runs/keypoint_generator")
-    episodes: int = 2000
+    episodes: int = 1000
     batch_size: int = 1024
     model: GeneratorConfig = GeneratorConfig()
     loop: LoopConfig = LoopConfig(
-        steps=8000,
+        steps=5000,
         learning_rate=2e-3,
         schedule="cosine",
         warmup_steps=100,
-        validate_every=2000,
+        validate_every=2500,
         checkpoint_every=1000,
         threads=1,
     )

@@ -89,9 +89,9 @@ class Transitions:
 class TransitionSampler:
     """Transitions of a few scenes at a time.
 
-    Without ``hard`` they are drawn uniformly; with it, half of them from those marked there, where
-    an episode has any. Batches hold ``pooled`` float32 ``[G, S * S / 4]``, ``before`` and ``after``
-    float32 ``[G, B, 2]``, ``actions`` float32 ``[G, B, A]``.
+    Without ``hard`` they are drawn uniformly; with it, ``hard_share`` of them from those marked
+    there, where an episode has any. Batches hold ``pooled`` float32 ``[G, S * S / 4]``, ``before``
+    and ``after`` float32 ``[G, B, 2]``, ``actions`` float32 ``[G, B, A]``.
     """
 
     def __init__(
@@ -101,6 +101,7 @@ class TransitionSampler:
         transitions: int,
         seed: int,
         hard: NDArray[np.bool_] | None = None,
+        hard_share: float = 0.0,
     ) -> None:
         for name, value in (("scenes", scenes), ("transitions", transitions)):
             if value < 1:
@@ -109,6 +110,7 @@ class TransitionSampler:
         self._scenes = scenes
         self._transitions = transitions
         self._seed = seed
+        self._from_marked = round(hard_share * transitions)
         marked = np.zeros(data.actions.shape[:2], bool) if hard is None else hard
         # Times of every episode, the marked ones first.
         self._order = np.argsort(~marked, axis=1, kind="stable")
@@ -121,7 +123,7 @@ class TransitionSampler:
         episode = rng.integers(episodes, size=(self._scenes, 1))
         choices = np.full((self._scenes, self._transitions), steps)
         marked = self._marked[episode]
-        choices[:, : self._transitions // 2] = np.where(marked > 0, marked, steps)
+        choices[:, : self._from_marked] = np.where(marked > 0, marked, steps)
         place = (rng.random(choices.shape) * choices).astype(np.int64)
         time = self._order[episode, place]
         return {
