@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 import hvf_core
 
 torch = pytest.importorskip("torch")
 
+from hvf.models.cell import Cell, CellConfig  # noqa: E402
 from hvf.models.frames import to_unit  # noqa: E402
 from hvf.models.keypoint_dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
 from hvf.models.keypoint_generator import GeneratorConfig, KeypointGenerator  # noqa: E402
@@ -22,11 +23,13 @@ from hvf.worlds.learned import KeypointSubgoals, LearnedWorld  # noqa: E402
 @pytest.fixture(scope="module")
 def dynamics() -> KeypointDynamics:
     torch.manual_seed(3)
-    model = KeypointDynamics(DynamicsConfig(hidden=24, scene_dim=5))
+    config = DynamicsConfig(cell=CellConfig(hidden=24, taps=5, spacing=3, substeps=3, memory=4))
+    model = KeypointDynamics(config).fit_backgrounds(torch.rand(4, 8, 8))
     with torch.no_grad():
         model.perception.log_half_size.copy_(torch.tensor([2.3, 2.8]).log())
         model.perception.log_edge.copy_(torch.tensor([1.0, 1.7]).log())
-        model.output.weight.mul_(3.0)
+        model.cell.output.weight.mul_(10.0)
+        model.cell.free.weight.normal_(std=4.0)
     return model.eval()
 
 
@@ -43,13 +46,44 @@ def actions_of(shape: tuple[int, ...], seed: int) -> np.ndarray:
 def test_rollouts_in_rust_are_those_of_torch(dynamics, frames):
     world = LearnedWorld(dynamics)
     observed = world.observe(frames)
-    actions = actions_of((37, 6, 2), 0)
-    found = world.native.rollout(observed[np.array([2])], actions)
+    actions = actions_of((2, 37, 6, 2), 0)
+    starts = observed[np.array([2, 5])]
+    found = world.native.rollout(starts, actions)
     with torch.inference_mode():
-        keypoints = torch.from_numpy(observed.keypoints[2:3]).expand(37, -1)
-        codes = torch.from_numpy(observed.codes[2:3]).expand(37, -1)
-        expected = dynamics.rollout(keypoints, codes, torch.from_numpy(actions)).numpy()
-    np.testing.assert_allclose(found, expected, atol=2e-5)
+        keypoints = torch.from_numpy(starts.keypoints)[:, None].expand(-1, 37, -1)
+        expected = dynamics.rollout(
+            keypoints, torch.from_numpy(starts.maps), torch.from_numpy(actions)
+        )
+    # Some leave the image: its border goes on there.
+    assert (expected < 0).any() or (expected > 63).any()
+    np.testing.assert_allclose(found, expected.numpy(), atol=2e-3)
+
+
+def test_a_cell_sees_the_same_wherever_in_the_scene_it_is():
+    torch.manual_seed(0)
+    cell = Cell(CellConfig(), action_dim=2)
+    scene = torch.randn(1, 64, 64)
+    moved = scene.roll((5, -7), dims=(1, 2))
+    points, actions = torch.full((1, 1, 2), 31.3), torch.rand(1, 1, 2)
+    with torch.inference_mode():
+        here = cell(cell.smooth(scene), points, actions) - points
+        shift = torch.tensor([5.0, -7.0])
+        there = cell(cell.smooth(moved), points + shift, actions) - points - shift
+    np.testing.assert_allclose(here, there, atol=1e-4)
+
+
+def test_patches_are_bilinear_interpolation_of_a_scene_whose_border_goes_on():
+    cell = Cell(CellConfig(taps=3, spacing=4), action_dim=2)
+    scene = np.random.default_rng(0).standard_normal((12, 10)).astype(np.float32)
+    points = np.random.default_rng(1).uniform(0, 9, (6, 2)).astype(np.float32)
+    found = cell.patches(
+        torch.from_numpy(scene[:10])[None], torch.from_numpy(points)[None]
+    ).numpy()[0]
+    for point, patch in zip(points, found, strict=True):
+        grid = point[:, None] + np.array([-4.0, 0.0, 4.0])
+        rows, columns = np.meshgrid(*grid, indexing="ij")
+        expected = map_coordinates(scene[:10], [rows, columns], order=1, mode="nearest")
+        np.testing.assert_allclose(patch, expected.ravel(), atol=1e-4)
 
 
 @pytest.mark.parametrize("blur", [0.0, 2.5])
@@ -61,7 +95,7 @@ def test_costs_in_closed_form_are_those_of_drawn_frames(dynamics, frames, blur, 
     actions = actions_of((2, 5, 4, 2), 1)
     found = world.rollout_costs(starts, goals, actions)
     for b in range(2):
-        path = torch.from_numpy(world.native.rollout(starts[np.array([b])], actions[b]))
+        path = torch.from_numpy(world.native.rollout(starts, actions)[b])
         image = to_unit(torch.from_numpy(starts.images[b : b + 1]))
         keypoint = torch.from_numpy(starts.keypoints[b : b + 1])
         goal = goals.images[b] / 255.0
@@ -145,9 +179,15 @@ def test_generated_subgoals_are_the_scene_with_the_sprite_moved(dynamics, frames
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"input": np.zeros((24, 3), np.float32)}, "input"),
+        ({"patch": np.zeros((24, 16), np.float32)}, "patch"),
+        ({"patch": np.zeros((22, 25), np.float32)}, "patch"),
+        ({"context": np.zeros((24, 5), np.float32)}, "context"),
         ({"middle": np.zeros((24, 20), np.float32)}, "middle"),
-        ({"output_bias": np.full(2, np.nan, np.float32)}, "output"),
+        ({"free": np.zeros((2, 0), np.float32)}, "free"),
+        ({"output": np.zeros((1, 24), np.float32)}, "output"),
+        ({"spacing": 0}, "spacing"),
+        ({"substeps": 0}, "substeps"),
+        ({"output_bias": np.full(6, np.nan, np.float32)}, "output_bias"),
         ({"action_scale": 0.0}, "action_scale"),
         ({"half_size": [0.0, 1.0]}, "half_size"),
         ({"edge": [1.0, float("inf")]}, "edge"),
@@ -160,13 +200,17 @@ def test_generated_subgoals_are_the_scene_with_the_sprite_moved(dynamics, frames
 )
 def test_weights_that_do_not_fit_are_refused_by_name(change, message):
     arguments = {
-        "input": np.zeros((24, 9), np.float32),
-        "input_bias": np.zeros(24, np.float32),
+        "patch": np.zeros((24, 25), np.float32),
+        "patch_bias": np.zeros(24, np.float32),
+        "context": np.zeros((24, 6), np.float32),
         "middle": np.zeros((24, 24), np.float32),
         "middle_bias": np.zeros(24, np.float32),
-        "output": np.zeros((2, 24), np.float32),
-        "output_bias": np.zeros(2, np.float32),
+        "output": np.zeros((6, 24), np.float32),
+        "output_bias": np.zeros(6, np.float32),
+        "free": np.zeros((2, 2), np.float32),
         "action_scale": 3.0,
+        "spacing": 2,
+        "substeps": 4,
         "half_size": [2.5, 2.5],
         "edge": [1.0, 1.0],
         "colour": [0.1, 0.6, 0.0],
@@ -183,20 +227,36 @@ def test_weights_that_do_not_fit_are_refused_by_name(change, message):
 @given(
     count=st.integers(0, 3),
     keypoint_rows=st.integers(0, 3),
-    code_rows=st.integers(0, 3),
+    map_rows=st.integers(0, 3),
+    map_size=st.sampled_from([64, 32]),
     bad=st.sampled_from([None, np.nan, np.inf]),
 )
-def test_frames_that_do_not_belong_together_are_refused(count, keypoint_rows, code_rows, bad):
-    images = np.zeros((count, 8, 8, 3), np.uint8)
+def test_frames_that_do_not_belong_together_are_refused(
+    dynamics, count, keypoint_rows, map_rows, map_size, bad
+):
+    world = LearnedWorld(dynamics).native
+    images = np.zeros((count, 64, 64, 3), np.uint8)
     keypoints = np.zeros((keypoint_rows, 2), np.float32)
-    codes = np.zeros((code_rows, 4), np.float32)
+    maps = np.zeros((map_rows, map_size, map_size), np.float32)
     if bad is not None and keypoints.size:
         keypoints[0, 0] = bad
-    if count == keypoint_rows == code_rows and (bad is None or not count):
-        assert len(hvf_core.KeypointFrames(images, keypoints, codes)) == count
+    if count == keypoint_rows == map_rows and map_size == 64 and (bad is None or not count):
+        frames = world.frames(images, keypoints, maps)
+        assert len(frames) == count
+        if count == 1:
+            assert len(frames.moved(np.zeros((2, 64, 64, 3), np.uint8), keypoints[[0, 0]])) == 2
+        else:
+            with pytest.raises(ValueError, match="expected 1 frame"):
+                frames.moved(images, keypoints)
     else:
-        with pytest.raises(ValueError, match=r"keypoints|codes"):
-            hvf_core.KeypointFrames(images, keypoints, codes)
+        with pytest.raises(ValueError, match=r"keypoints|maps"):
+            world.frames(images, keypoints, maps)
+
+
+def test_frames_of_another_world_are_refused(dynamics, frames):
+    one, other = LearnedWorld(dynamics), LearnedWorld(dynamics)
+    with pytest.raises(ValueError, match="another world"):
+        one.native.rollout(other.observe(frames[:1]), actions_of((1, 3, 2, 2), 0))
 
 
 def test_images_of_another_size_are_refused(dynamics):

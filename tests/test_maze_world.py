@@ -1,8 +1,6 @@
 """The maze's simulator as a world model, against drawing every frame and SciPy."""
 
-import os
-import subprocess
-import sys
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -118,7 +116,9 @@ def test_search_finds_the_gaps_and_mpc_the_way_to_them() -> None:
     assert reached < 0.05
 
 
-def test_costs_do_not_depend_on_the_number_of_threads() -> None:
+def test_costs_do_not_depend_on_the_number_of_threads(
+    outputs_by_threads: Callable[[str], set[str]],
+) -> None:
     program = (
         "import numpy as np, hvf_core\n"
         "starts, targets = hvf_core.maze_episodes(0, 0, 3, 'medium')\n"
@@ -128,17 +128,7 @@ def test_costs_do_not_depend_on_the_number_of_threads() -> None:
         "out = hvf.search(hvf_core.MazeWorld(blur=2.0), hvf_core.MazeSubgoals(), start[0], goal[0])"
         "\nprint(out.cost.hex(), out.latents.tobytes().hex())\n"
     )
-    results = {
-        subprocess.run(
-            [sys.executable, "-c", program],
-            env={**os.environ, "RAYON_NUM_THREADS": threads},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for threads in ("1", "2")
-    }
-    assert len(results) == 1
+    assert len(outputs_by_threads(program)) == 1
 
 
 IMAGES = np.zeros((2, 64, 64, 3), np.uint8)

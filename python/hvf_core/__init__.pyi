@@ -412,23 +412,12 @@ class MazeSubgoals:
 # --- the compact learned dynamics model -----------------------------------------------------
 
 class KeypointFrames:
-    """Frames of a `KeypointWorld`: images, where the moving part is, and a code of the rest.
+    """Frames of a `KeypointWorld`: images, where the moving part is, and a map of the rest.
 
-    Args:
-        images: uint8 `[N, S, S, 3]`.
-        keypoints: float32 `[N, 2]`, (row, column) in [-1, 1].
-        codes: scene codes, float32 `[N, E]`.
-
-    Raises:
-        ValueError: shapes that do not fit each other, or numbers that are not finite.
+    Made by `KeypointWorld.frames`. What the model sees in a scene is computed once, when first
+    needed; frames picked with `[]` and frames from `moved` share it.
     """
 
-    def __init__(
-        self,
-        images: NDArray[np.uint8],
-        keypoints: NDArray[np.float32],
-        codes: NDArray[np.float32],
-    ) -> None: ...
     def __len__(self) -> int: ...
     def __getitem__(self, index: NDArray[np.int64]) -> KeypointFrames: ...
     @property
@@ -436,26 +425,42 @@ class KeypointFrames:
         """The images, uint8 `[N, S, S, 3]` (a copy)."""
     @property
     def keypoints(self) -> NDArray[np.float32]:
-        """The keypoints, float32 `[N, 2]` (a copy)."""
+        """The keypoints, float32 `[N, 2]`, (row, column) in pixels (a copy)."""
     @property
-    def codes(self) -> NDArray[np.float32]:
-        """The scene codes, float32 `[N, E]` (a copy)."""
+    def maps(self) -> NDArray[np.float32]:
+        """The scene maps, float32 `[N, S, S]` (a copy)."""
+    def moved(self, images: NDArray[np.uint8], keypoints: NDArray[np.float32]) -> KeypointFrames:
+        """Frames of the same scene in which the moving part is elsewhere.
+
+        Args:
+            images: uint8 `[N, S, S, 3]`.
+            keypoints: float32 `[N, 2]`, (row, column) in pixels.
+
+        Raises:
+            ValueError: not exactly one frame here, shapes that do not fit each other, or keypoints
+                that are not finite.
+        """
 
 class KeypointWorld:
     """The compact learned dynamics model, evaluated in Rust; a world model.
 
     `hvf.worlds.learned.LearnedWorld` makes one from a trained `hvf.models.KeypointDynamics`.
     The cost is the squared pixel distance of the predicted frame to the goal, per pixel, in closed
-    form. A candidate costs `H * hidden**2` multiply-adds.
+    form. A candidate costs about `H * substeps * hidden**2` multiply-adds.
 
     Args:
-        input: weights of the first layer, float32 `[hidden, 2 + A + E]`.
-        input_bias: float32 `[hidden]`.
+        patch: weights of the first layer for what is around the keypoint, float32
+            `[hidden, taps**2]`.
+        patch_bias: float32 `[hidden]`.
+        context: weights of the first layer for action and memory, float32 `[hidden, A + C]`.
         middle: float32 `[hidden, hidden]`.
         middle_bias: float32 `[hidden]`.
-        output: float32 `[2, hidden]`.
-        output_bias: float32 `[2]`.
+        output: motion in pixels, then change of the memory, float32 `[2 + C, hidden]`.
+        output_bias: float32 `[2 + C]`.
+        free: motion per substep that is linear in the action, float32 `[2, A]`.
         action_scale: number by which actions are divided.
+        spacing: pixels between the taps of a patch.
+        substeps: substeps of an action.
         half_size: half the sprite's size along rows and columns, in pixels.
         edge: width of its soft edge along rows and columns, in pixels.
         colour: its colour relative to the background, in units of full intensity.
@@ -472,13 +477,17 @@ class KeypointWorld:
     def __init__(
         self,
         *,
-        input: NDArray[np.float32],
-        input_bias: NDArray[np.float32],
+        patch: NDArray[np.float32],
+        patch_bias: NDArray[np.float32],
+        context: NDArray[np.float32],
         middle: NDArray[np.float32],
         middle_bias: NDArray[np.float32],
         output: NDArray[np.float32],
         output_bias: NDArray[np.float32],
+        free: NDArray[np.float32],
         action_scale: float,
+        spacing: int,
+        substeps: int,
         half_size: Sequence[float],
         edge: Sequence[float],
         colour: Sequence[float],
@@ -494,9 +503,26 @@ class KeypointWorld:
     @property
     def action_high(self) -> NDArray[np.float32]:
         """Highest action, float32 `[A]`."""
+    def frames(
+        self,
+        images: NDArray[np.uint8],
+        keypoints: NDArray[np.float32],
+        maps: NDArray[np.float32],
+    ) -> KeypointFrames:
+        """Frames of this world.
+
+        Args:
+            images: uint8 `[N, S, S, 3]`.
+            keypoints: float32 `[N, 2]`, (row, column) in pixels.
+            maps: what does not move, as the model was trained to see it, float32 `[N, S, S]`.
+
+        Raises:
+            ValueError: shapes that do not fit each other or the world, or numbers that are not
+                finite.
+        """
     def rollout_costs(
         self, starts: KeypointFrames, goals: KeypointFrames, actions: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
-    def rollout(self, start: KeypointFrames, actions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Predicted keypoints float32 `[D, H, 2]` of `actions [D, H, A]` from one frame."""
+    def rollout(self, starts: KeypointFrames, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Predicted keypoints float32 `[B, D, H, 2]`, in pixels, of `actions [B, D, H, A]`."""

@@ -20,17 +20,6 @@ pub struct PyKeypointFrames {
 
 #[pymethods]
 impl PyKeypointFrames {
-    #[new]
-    fn new(
-        images: PyReadonlyArray4<'_, u8>,
-        keypoints: PyReadonlyArray2<'_, f32>,
-        codes: PyReadonlyArray2<'_, f32>,
-    ) -> PyResult<Self> {
-        let inner = KeypointFrames::new(images.as_array(), keypoints.as_array(), codes.as_array())
-            .map_err(to_py)?;
-        Ok(Self { inner })
-    }
-
     fn __len__(&self) -> usize {
         self.inner.len()
     }
@@ -58,7 +47,7 @@ impl PyKeypointFrames {
             .into_pyarray(py)
     }
 
-    /// The keypoints, float32 `[N, 2]`, (row, column) in [-1, 1] (a copy).
+    /// The keypoints, float32 `[N, 2]`, (row, column) in pixels (a copy).
     #[getter]
     fn keypoints<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
         let count = self.inner.len();
@@ -66,13 +55,24 @@ impl PyKeypointFrames {
             .into_pyarray(py)
     }
 
-    /// The scene codes, float32 `[N, E]` (a copy).
+    /// The scene maps, float32 `[N, S, S]` (a copy).
     #[getter]
-    fn codes<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
-        let count = self.inner.len();
-        let width = if count == 0 { 0 } else { self.inner.code(0).len() };
-        ndarray::Array2::from_shape_fn((count, width), |(i, e)| self.inner.code(i)[e])
+    fn maps<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f32>> {
+        let (count, size) = (self.inner.len(), self.inner.image_size());
+        let maps = (0..count).flat_map(|i| self.inner.map(i)).copied().collect();
+        ndarray::Array3::from_shape_vec((count, size, size), maps)
+            .unwrap_or_default()
             .into_pyarray(py)
+    }
+
+    /// Frames of the same scene with the moving part elsewhere.
+    fn moved(
+        &self,
+        images: PyReadonlyArray4<'_, u8>,
+        keypoints: PyReadonlyArray2<'_, f32>,
+    ) -> PyResult<Self> {
+        let inner = self.inner.moved(images.as_array(), keypoints.as_array()).map_err(to_py)?;
+        Ok(Self { inner })
     }
 
     fn __repr__(&self) -> String {
@@ -91,19 +91,23 @@ pub struct PyKeypointWorld {
 impl PyKeypointWorld {
     #[new]
     #[pyo3(signature = (
-        *, input, input_bias, middle, middle_bias, output, output_bias, action_scale,
-        half_size, edge, colour, action_low, action_high, image_size, blur=0.0,
-        over_horizon="last"
+        *, patch, patch_bias, context, middle, middle_bias, output, output_bias, free,
+        action_scale, spacing, substeps, half_size, edge, colour, action_low, action_high,
+        image_size, blur=0.0, over_horizon="last"
     ))]
     #[allow(clippy::too_many_arguments)]
     fn new(
-        input: PyReadonlyArray2<'_, f32>,
-        input_bias: PyReadonlyArray1<'_, f32>,
+        patch: PyReadonlyArray2<'_, f32>,
+        patch_bias: PyReadonlyArray1<'_, f32>,
+        context: PyReadonlyArray2<'_, f32>,
         middle: PyReadonlyArray2<'_, f32>,
         middle_bias: PyReadonlyArray1<'_, f32>,
         output: PyReadonlyArray2<'_, f32>,
         output_bias: PyReadonlyArray1<'_, f32>,
+        free: PyReadonlyArray2<'_, f32>,
         action_scale: f32,
+        spacing: usize,
+        substeps: usize,
         half_size: [f32; 2],
         edge: [f32; 2],
         colour: [f32; 3],
@@ -116,15 +120,19 @@ impl PyKeypointWorld {
         let build = || {
             let actions = ActionSpace::new(action_low, action_high)?;
             let weights = CellWeights {
-                input: input.as_array(),
-                input_bias: input_bias.as_array(),
+                patch: patch.as_array(),
+                patch_bias: patch_bias.as_array(),
+                context: context.as_array(),
                 middle: middle.as_array(),
                 middle_bias: middle_bias.as_array(),
                 output: output.as_array(),
                 output_bias: output_bias.as_array(),
+                free: free.as_array(),
                 action_scale,
+                spacing,
+                substeps,
             };
-            let cell = Cell::new(weights, actions.dim())?;
+            let cell = Cell::new(weights)?;
             let sprite = Sprite { half_size, edge, colour };
             let over_horizon = OverHorizon::from_name(over_horizon)?;
             KeypointWorld::new(cell, sprite, actions, image_size, blur, over_horizon)
@@ -144,6 +152,20 @@ impl PyKeypointWorld {
         PyArray1::from_slice(py, self.inner.action_space().high())
     }
 
+    /// Frames of this world from images, keypoints and scene maps.
+    fn frames(
+        &self,
+        images: PyReadonlyArray4<'_, u8>,
+        keypoints: PyReadonlyArray2<'_, f32>,
+        maps: PyReadonlyArray3<'_, f32>,
+    ) -> PyResult<PyKeypointFrames> {
+        let inner = self
+            .inner
+            .frames(images.as_array(), keypoints.as_array(), maps.as_array())
+            .map_err(to_py)?;
+        Ok(PyKeypointFrames { inner })
+    }
+
     /// Planning costs float32 `[B, D]` of `actions [B, D, H, A]`.
     fn rollout_costs<'py>(
         &self,
@@ -159,16 +181,17 @@ impl PyKeypointWorld {
         Ok(costs.into_pyarray(py))
     }
 
-    /// Predicted keypoints float32 `[D, H, 2]` of `actions [D, H, A]` from one frame.
+    /// Predicted keypoints float32 `[B, D, H, 2]` of `actions [B, D, H, A]`.
     fn rollout<'py>(
         &self,
         py: Python<'py>,
-        start: &PyKeypointFrames,
-        actions: PyReadonlyArray3<'py, f32>,
-    ) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        starts: &PyKeypointFrames,
+        actions: PyReadonlyArray4<'py, f32>,
+    ) -> PyResult<Bound<'py, PyArray4<f32>>> {
         let actions = actions.as_array().to_owned();
-        let path = py.detach(|| self.inner.rollout(&start.inner, actions.view())).map_err(to_py)?;
-        Ok(path.into_pyarray(py))
+        let paths =
+            py.detach(|| self.inner.rollout(&starts.inner, actions.view())).map_err(to_py)?;
+        Ok(paths.into_pyarray(py))
     }
 }
 

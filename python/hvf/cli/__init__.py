@@ -25,6 +25,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "hvf.cli.train:keypoint_generator",
         "Train the generator of subgoals for the compact dynamics model.",
     ),
+    "train temporal-distance": (
+        "hvf.cli.train:temporal_distance",
+        "Train the learned distance in steps, a planning cost.",
+    ),
     "export weights": ("hvf.cli.export:weights", "Copy a trained model at half its size."),
     "eval maze": ("hvf.cli.evaluate:maze", "Success of an agent in the maze, with its interval."),
     "results maze": ("hvf.cli.results:maze", "Evaluations in a folder as a Markdown table."),

@@ -167,10 +167,10 @@ def _notes(rows: Mapping[Row, Mapping[str, Report]]) -> list[str]:
     all_reports = [report for cells in rows.values() for report in cells.values()]
     commits = {str(report.provenance.get("commit")) for report in all_reports}
     short = sorted(" ".join([commit[:10], *commit.split()[1:]]) for commit in commits)
-    weights = {
-        name: {report.config.get("sha256", {}).get(name) for report in all_reports} - {None}
-        for name in ("dynamics", "keypoint_generator", "cvae")
-    }
+    weights: dict[str, set[str]] = {}
+    for report in all_reports:
+        for name, checksum in report.config.get("sha256", {}).items():
+            weights.setdefault(name, set()).add(checksum)
     mixed = [name for name, sums in weights.items() if len(sums) > 1]
     notes = ["", f"Code: {', '.join(short)}."]
     if mixed:

@@ -9,6 +9,7 @@ import tyro
 from hvf.training.dynamics import DynamicsTraining, train_dynamics
 from hvf.training.keypoint_generator import GeneratorTraining, train_keypoint_generator
 from hvf.training.subgoals import SubgoalTraining, train_subgoals
+from hvf.training.temporal_distance import TemporalDistanceTraining, train_temporal_distance
 
 
 def dynamics(config: Annotated[DynamicsTraining, tyro.conf.arg(name="")]) -> None:
@@ -33,3 +34,11 @@ def keypoint_generator(config: Annotated[GeneratorTraining, tyro.conf.arg(name="
     Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
     """
     train_keypoint_generator(config)
+
+
+def temporal_distance(config: Annotated[TemporalDistanceTraining, tyro.conf.arg(name="")]) -> None:
+    """Train the classifier of the steps between two frames, a planning cost for the maze.
+
+    Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
+    """
+    train_temporal_distance(config)

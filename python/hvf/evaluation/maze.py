@@ -29,6 +29,8 @@ TEST_SEED = 1_000_000_007
 VALIDATION_SEED = 1_000_000_009
 """Seed of the episodes that settings were chosen on."""
 
+_CHECKPOINTS = ("dynamics", "keypoint_generator", "cvae", "temporal_distance")
+
 AgentName: TypeAlias = Literal["hvf", "none", "ground-truth", "random"]
 Difficulty: TypeAlias = Literal["easy", "medium", "hard"]
 ModelName: TypeAlias = Literal["learned", "simulator"]
@@ -51,6 +53,8 @@ class MazePlanning:
         warm_start: begin each step's search around the rest of the last plan.
         blur: standard deviation of a Gaussian blur of frames before they are compared, pixels.
         over_horizon: predicted frames that count: the last (the paper's), their sum or minimum.
+        cost: what they cost: pixel distance to the goal (the paper's), distance in the CVAE's
+            latent, or learned temporal distance; the latter two for learned models only.
         subgoal_samples: subgoal samples per iteration (M).
         subgoal_elites: of which the best are kept (M*).
         subgoal_iterations: iterations of the search for subgoals.
@@ -70,6 +74,7 @@ class MazePlanning:
     warm_start: bool = False
     blur: float = 3.0
     over_horizon: Literal["last", "sum", "min"] = "min"
+    cost: Literal["pixel", "latent", "temporal"] = "pixel"
     subgoal_samples: int = 100
     subgoal_elites: int = 20
     subgoal_iterations: int = 5
@@ -154,6 +159,7 @@ class MazeEvaluation:
         dynamics: checkpoint of the learned dynamics; None for the shipped one.
         keypoint_generator: checkpoint of the keypoint generator; None for the shipped one.
         cvae: checkpoint of the CVAE; None for the shipped one.
+        temporal_distance: checkpoint of the temporal distance; None for the shipped one.
         seed: seed of the episodes and of all planning.
         planning: how agents plan and act.
     """
@@ -166,6 +172,7 @@ class MazeEvaluation:
     dynamics: Path | None = None
     keypoint_generator: Path | None = None
     cvae: Path | None = None
+    temporal_distance: Path | None = None
     seed: int = TEST_SEED
     planning: MazePlanning = MazePlanning()
 
@@ -207,6 +214,8 @@ class MazeEvaluation:
         world = "" if self.agent == "random" else f", {self.model}"
         if self.agent == "hvf" and self.generator != "default":
             world += f" ({self.generator})"
+        if self.planning.cost != "pixel":
+            world += f", {self.planning.cost} cost"
         return f"maze {self.difficulty}: {agents[self.agent]}{world}"
 
     @property
@@ -217,9 +226,11 @@ class MazeEvaluation:
             generator=self.generator,
             blur=self.planning.blur,
             over_horizon=self.planning.over_horizon,
+            cost=self.planning.cost,
             dynamics=self.dynamics,
             keypoint_generator=self.keypoint_generator,
             cvae=self.cvae,
+            temporal_distance=self.temporal_distance,
         )
 
     def task(self) -> MazeTask:
@@ -305,7 +316,7 @@ class MazeTask:
     def config(self) -> Mapping[str, Any]:
         """All settings, and checksums of learned weights; JSON's types."""
         settings = dataclasses.asdict(self.evaluation)
-        for name in ("dynamics", "keypoint_generator", "cvae"):
+        for name in _CHECKPOINTS:
             settings[name] = None if settings[name] is None else str(settings[name])
         return {**settings, "sha256": _checksums(self.evaluation.world)}
 
@@ -331,8 +342,9 @@ def _checksums(world: MazeWorldConfig) -> dict[str, str]:
     """SHA-256 of the checkpoints that a world may be made of; none for a simulator."""
     if world.model == "simulator" and world.generator in ("default", "oracle"):
         return {}
-    names = ("dynamics", "keypoint_generator", "cvae")
-    paths = {name: getattr(world, name) or WEIGHTS / f"maze_{name}.safetensors" for name in names}
+    paths = {
+        name: getattr(world, name) or WEIGHTS / f"maze_{name}.safetensors" for name in _CHECKPOINTS
+    }
     return {
         name: hashlib.sha256(path.read_bytes()).hexdigest()
         for name, path in paths.items()

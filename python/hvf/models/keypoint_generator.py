@@ -1,11 +1,11 @@
 """Where the moving part may be in a scene: a small CVAE on keypoints.
 
-The second generator of subgoals, beside the paper's CVAE on images: it draws a keypoint given the
-scene code of the compact dynamics model, and that model's sprite draws the image. Images are sharp,
-and planning starts from the keypoint without encoding the image again.
+The second generator of subgoals, beside the paper's CVAE on images: it draws a keypoint given a
+code of the scene map of the compact dynamics model, and that model's sprite draws the image. Images
+are sharp, and planning starts from the keypoint without encoding the image again.
 
-Letters in shapes: `N` samples, `E` scene code, `L` latent dimensions. Keypoints are (row, column)
-in [-1, 1].
+Letters in shapes: `N` samples, `S` image size, `E` scene code, `L` latent dimensions. Keypoints are
+(row, column) in pixels.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from hvf.models.cvae import gaussian_kl
+from hvf.models.scene_code import SceneCode
 
 
 @dataclass(frozen=True)
@@ -25,24 +26,27 @@ class GeneratorConfig:
     """Sizes of the keypoint generator.
 
     Attributes:
+        image_size: height and width of the images, `S`, in pixels (even).
         scene_dim: length of the scene code, `E`.
         latent_dim: latent dimensions, `L`.
         hidden: width of the hidden layers.
-        precision: standard deviation to which a keypoint should be rebuilt, in [-1, 1] units
-            (0.02 is 0.6 pixels of a 64-pixel image).
+        precision: standard deviation to which a keypoint should be rebuilt, in pixels.
     """
 
-    scene_dim: int = 8
+    image_size: int = 64
+    scene_dim: int = 16
     latent_dim: int = 8
     hidden: int = 128
-    precision: float = 0.02
+    precision: float = 0.6
 
     def __post_init__(self) -> None:
         for name in ("scene_dim", "latent_dim", "hidden"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 < self.precision < 1:
-            raise ValueError(f"precision must be between 0 and 1, got {self.precision}")
+        if self.image_size < 2 or self.image_size % 2:
+            raise ValueError(f"image_size must be even, at least 2; got {self.image_size}")
+        if not 0 < self.precision < float("inf"):
+            raise ValueError(f"precision must be positive, got {self.precision}")
 
 
 class KeypointGenerator(nn.Module):
@@ -54,6 +58,7 @@ class KeypointGenerator(nn.Module):
         super().__init__()
         self.config = config
         hidden = config.hidden
+        self.code = SceneCode(config.image_size, config.scene_dim)
         self.posterior = nn.Sequential(
             nn.Linear(2 + config.scene_dim, hidden),
             nn.ReLU(),
@@ -71,12 +76,15 @@ class KeypointGenerator(nn.Module):
 
     def decode(self, latents: Tensor, codes: Tensor) -> Tensor:
         """Keypoints `[N, 2]` for `latents [N, L]` in scenes of `codes [N, E]`."""
-        keypoints: Tensor = self.decoder(torch.cat([latents, codes], dim=1))
+        half = 0.5 * (self.config.image_size - 1)
+        keypoints: Tensor = half * (1.0 + self.decoder(torch.cat([latents, codes], dim=1)))
         return keypoints
 
     def encode(self, keypoints: Tensor, codes: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log variance `[N, L]` of the latents of `keypoints [N, 2]`."""
-        mean, log_variance = self.posterior(torch.cat([keypoints, codes], dim=1)).chunk(2, dim=1)
+        half = 0.5 * (self.config.image_size - 1)
+        inputs = torch.cat([keypoints / half - 1.0, codes], dim=1)
+        mean, log_variance = self.posterior(inputs).chunk(2, dim=1)
         return mean, log_variance.clamp(-12.0, 4.0)
 
     def loss(

@@ -34,45 +34,35 @@ class DynamicsTraining:
         pairs: pairs of images per step while perception is trained.
         scenes: scenes per step while the cell is trained.
         transitions: transitions per scene and step.
-        hard_fraction: transitions that the first pass predicts worst and the second draws more.
-        hard_share: share of each scene's transitions that the second pass draws from these.
         model: the network.
         perception_loop: how to optimise perception.
-        first_loop: how to optimise the cell in the first pass.
-        loop: how to optimise it in the second.
+        loop: how to optimise the cell.
     """
 
     data: Path
     out: Path = Path("runs/dynamics")
-    episodes: int = 3000
+    episodes: int = 6000
     pairs: int = 32
-    scenes: int = 32
-    transitions: int = 64
-    hard_fraction: float = 0.05
-    hard_share: float = 0.125
+    scenes: int = 64
+    transitions: int = 32
     model: DynamicsConfig = DynamicsConfig()
     perception_loop: LoopConfig = LoopConfig(
         steps=800,
         learning_rate=8e-3,
         schedule="cosine",
+        precision="float32",
         validate_every=400,
         checkpoint_every=200,
         threads=1,
     )
-    first_loop: LoopConfig = LoopConfig(
-        steps=3000,
-        learning_rate=3e-3,
-        schedule="cosine",
-        warmup_steps=200,
-        validate_every=1500,
-        checkpoint_every=1000,
-        threads=1,
-    )
+    # Positions in pixels need all of float32's digits, on a GPU too.
     loop: LoopConfig = LoopConfig(
         steps=20_000,
-        learning_rate=3e-3,
+        learning_rate=4e-3,
         schedule="cosine",
         warmup_steps=200,
+        clip_norm=1.0,
+        precision="float32",
         validate_every=5000,
         checkpoint_every=1000,
         threads=1,
@@ -82,9 +72,6 @@ class DynamicsTraining:
         for name in ("episodes", "pairs", "scenes", "transitions"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("hard_fraction", "hard_share"):
-            if not 0 < getattr(self, name) < 1:
-                raise ValueError(f"{name} must be between 0 and 1, got {getattr(self, name)}")
 
 
 def train_dynamics(config: DynamicsTraining, console: Console | None = None) -> KeypointDynamics:
@@ -126,41 +113,19 @@ def train_dynamics(config: DynamicsTraining, console: Console | None = None) -> 
     console.print("cell: how actions move the keypoint")
     training = pool.metadata.episodes - len(held_out)
     data = Transitions(config.data, model, min(config.episodes, training), console=console)
-    model.fit_scene_basis(torch.from_numpy(data.pooled[:, 0]))
-    run = {
-        **run,
-        "episodes": config.episodes,
-        "scenes": config.scenes,
-        "transitions": config.transitions,
-        "perception_steps": config.perception_loop.steps,
-    }
-    console.print("cell, first pass: transitions drawn uniformly")
-    model = train(
-        model,
-        TransitionSampler(data, config.scenes, config.transitions, seed),
-        config.first_loop,
-        config.out / "first_pass",
-        environment="maze",
-        run=run,
-        validate=lambda trained, _: validate_dynamics(trained, held_out),
-        console=console,
-    )
-    # Passing a gap is 2% of random play and unlike the rest: drawn uniformly, it is not learned.
-    hard = data.hardest(model, config.hard_fraction)
-    console.print("cell, second pass: more of the transitions that were predicted worst")
+    model.fit_backgrounds(torch.from_numpy(data.backgrounds[:, 0]))
     return train(
         model,
-        TransitionSampler(
-            data, config.scenes, config.transitions, seed + 1, hard, config.hard_share
-        ),
+        TransitionSampler(data, config.scenes, config.transitions, seed),
         config.loop,
         config.out,
         environment="maze",
         run={
             **run,
-            "first_steps": config.first_loop.steps,
-            "hard_fraction": config.hard_fraction,
-            "hard_share": config.hard_share,
+            "episodes": config.episodes,
+            "scenes": config.scenes,
+            "transitions": config.transitions,
+            "perception_steps": config.perception_loop.steps,
         },
         validate=lambda trained, _: validate_dynamics(trained, held_out),
         console=console,
@@ -205,18 +170,15 @@ def validate_dynamics(model: KeypointDynamics, held_out: EpisodePool) -> Validat
     every = torch.from_numpy(frames[:, ::_HORIZON]).flatten(0, 1)
     observed = [model.observe(part.to(device)) for part in torch.split(every, 512)]
     keypoints = torch.cat([k for k, _ in observed]).reshape(episodes, -1, 2)
-    codes = torch.cat([c for _, c in observed]).reshape(episodes, keypoints.shape[1], -1)
+    maps = torch.cat([m for _, m in observed])[:: keypoints.shape[1]]
     windows = len(starts)
     index = starts[:, None] + np.arange(_HORIZON)
-    actions = torch.from_numpy(held_out.actions[:, index]).flatten(0, 1).to(device)
-    path = model.rollout(
-        keypoints[:, :windows].flatten(0, 1), codes[:, :windows].flatten(0, 1), actions
-    )
-    ends = keypoints[:, 1 : windows + 1].flatten(0, 1)
+    actions = torch.from_numpy(held_out.actions[:, index]).to(device)
+    path = model.rollout(keypoints[:, :windows], maps, actions)
     first = torch.from_numpy(frames[:, starts + 1]).flatten(0, 1)
     after_one = torch.cat([model.observe(part.to(device))[0] for part in torch.split(first, 512)])
-    one = (model.to_pixels(path[:, 0]) - model.to_pixels(after_one)).norm(dim=1)
-    five = (model.to_pixels(path[:, -1]) - model.to_pixels(ends)).norm(dim=1)
+    one = (path[:, :, 0].flatten(0, 1) - after_one).norm(dim=1)
+    five = (path[:, :, -1] - keypoints[:, 1 : windows + 1]).norm(dim=2).flatten()
     metrics = {
         "pixels_1_median": float(one.median()),
         "pixels_1_95": float(one.quantile(0.95)),
@@ -224,8 +186,7 @@ def validate_dynamics(model: KeypointDynamics, held_out: EpisodePool) -> Validat
         "pixels_5_mean": float(five.mean()),
         "pixels_5_over_2.5": float((five > 2.5).float().mean()),
     }
-    shown = np.arange(_SHOWN) * windows
     images = to_unit(torch.from_numpy(frames[:_SHOWN, 0]).to(device))
-    drawn = model.draw(images, keypoints[:_SHOWN, 0], path[shown, -1])
+    drawn = model.draw(images, keypoints[:_SHOWN, 0], path[:_SHOWN, 0, -1])
     rows = [frames[:_SHOWN, 0], frames[:_SHOWN, _HORIZON], to_frames(drawn).cpu().numpy()]
     return Validation(metrics, {"predictions": frame_grid(rows, zoom=2)})

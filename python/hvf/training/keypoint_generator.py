@@ -13,12 +13,11 @@ from rich.console import Console
 
 import hvf_core
 from hvf.data.loader import EpisodePool
-from hvf.models.checkpoint import load_model
 from hvf.models.keypoint_dynamics import KeypointDynamics
 from hvf.models.keypoint_generator import GeneratorConfig, KeypointGenerator
-from hvf.training.loop import LoopConfig, Validation, seeded, train
+from hvf.training.loop import LoopConfig, Validation
+from hvf.training.on_keypoints import train_on_keypoints
 from hvf.training.pictures import frame_grid
-from hvf.training.transitions import Transitions
 from hvf.worlds.learned import KeypointSubgoals, LearnedWorld
 
 _SHOWN = 10
@@ -54,11 +53,6 @@ class GeneratorTraining:
         checkpoint_every=1000,
         threads=1,
     )
-
-    def __post_init__(self) -> None:
-        for name in ("episodes", "batch_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
 
 
 class KeypointSampler:
@@ -96,30 +90,13 @@ def train_keypoint_generator(
         ValueError: a damaged or foreign file, or another run in ``config.out``.
         KeyboardInterrupt: stopped; the same call goes on from there.
     """
-    console = console or Console()
-    seed = config.loop.seed
-    dynamics = load_model(config.dynamics, KeypointDynamics, environment="maze")
-    model_config = dataclasses.replace(config.model, scene_dim=dynamics.config.scene_dim)
-    held_out = EpisodePool(config.data, "validation", environment="maze", seed=seed)
-    held_out.move_to(0)
-    training = held_out.metadata.episodes - len(held_out)
-    data = Transitions(config.data, dynamics, min(config.episodes, training), console=console)
-    with torch.inference_mode():
-        codes = dynamics.scene_code(torch.from_numpy(data.pooled[:, 0])).numpy()
-    return train(
-        seeded(seed, lambda: KeypointGenerator(model_config)),
-        KeypointSampler(data.keypoints, codes, config.batch_size, seed),
-        config.loop,
-        config.out,
-        environment="maze",
-        run={
-            "command": "hvf train keypoint-generator",
-            "episodes": config.episodes,
-            "batch_size": config.batch_size,
-            "data": dataclasses.asdict(held_out.metadata),
-        },
-        validate=lambda model, generator: validate_generator(model, dynamics, held_out, generator),
-        console=console,
+    return train_on_keypoints(
+        config,
+        "hvf train keypoint-generator",
+        KeypointGenerator,
+        KeypointSampler,
+        validate_generator,
+        console,
     )
 
 
@@ -139,7 +116,7 @@ def validate_generator(
     scenes = world.observe(held_out.frames[:20, 0])
     rows = [held_out.frames[:_SHOWN, 0]]
     errors = []
-    for i in range(20):
+    for i in range(len(scenes)):
         latents = torch.randn(
             (_SAMPLES, 1, model.config.latent_dim), generator=generator, device=generator.device
         )

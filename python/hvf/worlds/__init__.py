@@ -5,10 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import hvf_core
 from hvf.protocols import SubgoalModel, WorldModel
+
+if TYPE_CHECKING:
+    import torch
+
+Model = TypeVar("Model", bound="torch.nn.Module")
 
 __all__ = ["WEIGHTS", "MazeWorldConfig", "load_maze"]
 
@@ -29,30 +34,39 @@ class MazeWorldConfig:
             goals are compared; 0 for none.
         over_horizon: the cost of a rollout is that of its last frame, the sum over all frames, or
             the smallest.
+        cost: what a predicted frame costs: ``pixel`` distance to the goal, distance in the CVAE's
+            ``latent``, or learned ``temporal`` distance (steps of random play); the latter two
+            only for the learned model, and without a blur.
         dynamics: checkpoint of the dynamics; None for the one that ships.
         keypoint_generator: checkpoint of the keypoint generator; None for the one that ships.
         cvae: checkpoint of the CVAE; None for the one that ships.
+        temporal_distance: checkpoint of the temporal distance; None for the one that ships.
     """
 
     model: Literal["learned", "simulator"] = "learned"
     generator: Literal["default", "keypoint", "cvae", "oracle"] = "default"
     blur: float = 0.0
     over_horizon: Literal["last", "sum", "min"] = "last"
+    cost: Literal["pixel", "latent", "temporal"] = "pixel"
     dynamics: Path | None = None
     keypoint_generator: Path | None = None
     cvae: Path | None = None
+    temporal_distance: Path | None = None
 
     def __post_init__(self) -> None:
         for name, allowed in (
             ("model", ("learned", "simulator")),
             ("generator", ("default", "keypoint", "cvae", "oracle")),
             ("over_horizon", ("last", "sum", "min")),
+            ("cost", ("pixel", "latent", "temporal")),
         ):
             value = getattr(self, name)
             if value not in allowed:
                 raise ValueError(f"{name}: must be one of {', '.join(allowed)}; got {value!r}")
         if not 0 <= self.blur < float("inf"):
             raise ValueError(f"blur: must be finite and not negative, got {self.blur}")
+        if self.cost != "pixel" and self.model != "learned":
+            raise ValueError(f"cost: {self.cost!r} needs model='learned', got {self.model!r}")
 
 
 def load_maze(config: MazeWorldConfig) -> tuple[WorldModel[Any], SubgoalModel[Any]]:
@@ -80,25 +94,33 @@ def _load_learned(
     from hvf.models.cvae import CVAE
     from hvf.models.keypoint_dynamics import KeypointDynamics
     from hvf.models.keypoint_generator import KeypointGenerator
+    from hvf.models.temporal_distance import TemporalDistance
+    from hvf.worlds.distances import DistanceWorld, LatentDistance, StepsDistance
     from hvf.worlds.learned import ImageSubgoals, KeypointSubgoals, LearnedWorld
+
+    def load(name: str, kind: type[Model]) -> Model:
+        path = getattr(config, name) or WEIGHTS / f"maze_{name}.safetensors"
+        return load_model(path, kind, environment="maze")
 
     world: Any = hvf_core.MazeWorld(blur=config.blur, over_horizon=config.over_horizon)
     learned: LearnedWorld | None = None
     if config.model == "learned" or generator == "keypoint":
-        path = config.dynamics or WEIGHTS / "maze_dynamics.safetensors"
-        dynamics = load_model(path, KeypointDynamics, environment="maze")
-        learned = LearnedWorld(dynamics, config.blur, config.over_horizon)
+        learned = LearnedWorld(load("dynamics", KeypointDynamics), config.blur, config.over_horizon)
     if config.model == "learned":
+        assert learned is not None
         world = learned
+        if config.cost == "latent":
+            distance = LatentDistance(load("cvae", CVAE), learned)
+            world = DistanceWorld(learned, distance, config.over_horizon)
+        elif config.cost == "temporal":
+            steps = StepsDistance(load("temporal_distance", TemporalDistance))
+            world = DistanceWorld(learned, steps, config.over_horizon)
     subgoals: SubgoalModel[Any]
     if generator == "oracle":
         subgoals = hvf_core.MazeSubgoals()
     elif generator == "cvae":
-        path = config.cvae or WEIGHTS / "maze_cvae.safetensors"
-        subgoals = ImageSubgoals(load_model(path, CVAE, environment="maze"))
+        subgoals = ImageSubgoals(load("cvae", CVAE))
     else:
         assert learned is not None
-        path = config.keypoint_generator or WEIGHTS / "maze_keypoint_generator.safetensors"
-        model = load_model(path, KeypointGenerator, environment="maze")
-        subgoals = KeypointSubgoals(model, learned)
+        subgoals = KeypointSubgoals(load("keypoint_generator", KeypointGenerator), learned)
     return world, subgoals

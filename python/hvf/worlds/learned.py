@@ -45,12 +45,17 @@ class LearnedWorld:
         }
         limit = np.full(config.action_dim, config.action_scale, np.float32)
         self.native = hvf_core.KeypointWorld(
-            **{
-                f"{layer}{suffix}": weights[f"{layer}.{kind}"]
-                for layer in ("input", "middle", "output")
-                for suffix, kind in (("", "weight"), ("_bias", "bias"))
-            },
+            patch=weights["cell.patch.weight"],
+            patch_bias=weights["cell.patch.bias"],
+            context=weights["cell.context.weight"],
+            middle=weights["cell.middle.weight"],
+            middle_bias=weights["cell.middle.bias"],
+            output=weights["cell.output.weight"],
+            output_bias=weights["cell.output.bias"],
+            free=weights["cell.free.weight"],
             action_scale=config.action_scale,
+            spacing=config.cell.spacing,
+            substeps=config.cell.substeps,
             half_size=perception.half_size.tolist(),
             edge=perception.edge.tolist(),
             colour=perception.colour.tolist(),
@@ -89,8 +94,8 @@ class LearnedWorld:
             parts = torch.split(tensor, _IMAGES_AT_ONCE)
             observed = [self.dynamics.observe(part.to(device)) for part in parts]
             keypoints = torch.cat([keypoint for keypoint, _ in observed]).cpu().numpy()
-            codes = torch.cat([code for _, code in observed]).cpu().numpy()
-        return hvf_core.KeypointFrames(images, keypoints, codes)
+            maps = torch.cat([scene for _, scene in observed]).cpu().numpy()
+        return self.native.frames(images, keypoints, maps)
 
     def rollout_costs(
         self,
@@ -106,10 +111,11 @@ class KeypointSubgoals:
     """Subgoals drawn by the keypoint generator (`hvf.protocols.SubgoalModel`)."""
 
     def __init__(self, generator: KeypointGenerator, world: LearnedWorld) -> None:
-        expected, found = world.dynamics.config.scene_dim, generator.config.scene_dim
+        expected = world.dynamics.config.perception.image_size
+        found = generator.config.image_size
         if expected != found:
             raise ValueError(
-                f"generator: made for scene codes of length {found}, the world's have {expected}"
+                f"generator: made for images of {found} pixels, the world's have {expected}"
             )
         self.generator = generator.eval()
         self.world = world
@@ -126,13 +132,12 @@ class KeypointSubgoals:
         dynamics = self.world.dynamics
         count = latents.shape[0] * latents.shape[1]
         with torch.inference_mode():
-            code = torch.from_numpy(scene.codes)
+            code = self.generator.code(torch.from_numpy(scene.maps))
             flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
             keypoints = self.generator.decode(flat, code.expand(count, -1))
             start = to_unit(torch.from_numpy(scene.images))
             images = dynamics.draw(start, torch.from_numpy(scene.keypoints), keypoints)
-        codes = np.repeat(scene.codes, count, axis=0)
-        return hvf_core.KeypointFrames(to_frames(images).numpy(), keypoints.numpy(), codes)
+        return scene.moved(to_frames(images).numpy(), keypoints.numpy())
 
 
 class ImageSubgoals:

@@ -1,12 +1,17 @@
-//! The residual network that moves a keypoint by an action, for blocks of candidates.
+//! The small network that moves a keypoint by an action, for blocks of candidates.
+//!
+//! One action is a few substeps. In each, the network looks at the scene around the keypoint, at
+//! the action and at a short memory, and moves keypoint and memory on: what a wall does to the
+//! motion depends on what is near, wherever in the scene that is.
 //!
 //! One block is [`LANES`] candidates of one problem, stored lane by lane, so that every weight is
 //! loaded once for the block and the arithmetic is plain vertical SIMD. Sums run in a fixed order
 //! and without fused multiply-add: the result has the same bits on every machine and for every
 //! batch size.
 
-use ndarray::{ArrayView1, ArrayView2};
+use ndarray::{Array2, ArrayView1, ArrayView2};
 
+use super::field::SceneField;
 use crate::{Error, Result};
 
 /// Candidates that are moved together.
@@ -20,24 +25,33 @@ const OUTPUTS: usize = 4;
 
 /// Weights of the cell as `torch.nn.Linear` stores them: `[outputs, inputs]`.
 ///
-/// Inputs of the first layer are the keypoint (2, in [-1, 1]), the action (`A`, divided by
-/// `action_scale`) and the scene code (`E`), in this order.
+/// `A` is the number of action dimensions, `C` the length of the memory. Motion is in pixels,
+/// (row, column).
 #[derive(Clone, Copy, Debug)]
 pub struct CellWeights<'a> {
-    /// First layer, `[hidden, 2 + A + E]`.
-    pub input: ArrayView2<'a, f32>,
+    /// First layer, its part that looks at the scene: `[hidden, taps * taps]`, `taps` odd.
+    pub patch: ArrayView2<'a, f32>,
     /// Bias of the first layer, `[hidden]`.
-    pub input_bias: ArrayView1<'a, f32>,
+    pub patch_bias: ArrayView1<'a, f32>,
+    /// First layer, its part for action (divided by `action_scale`) and memory:
+    /// `[hidden, A + C]`.
+    pub context: ArrayView2<'a, f32>,
     /// Second layer, `[hidden, hidden]`.
     pub middle: ArrayView2<'a, f32>,
     /// Bias of the second layer, `[hidden]`.
     pub middle_bias: ArrayView1<'a, f32>,
-    /// Last layer, `[2, hidden]`.
+    /// Last layer, `[2 + C, hidden]`: motion, then change of the memory.
     pub output: ArrayView2<'a, f32>,
-    /// Bias of the last layer, `[2]`.
+    /// Bias of the last layer, `[2 + C]`.
     pub output_bias: ArrayView1<'a, f32>,
+    /// Motion per substep that is linear in the action (divided by `action_scale`), `[2, A]`.
+    pub free: ArrayView2<'a, f32>,
     /// Number by which actions are divided.
     pub action_scale: f32,
+    /// Pixels between neighbouring taps of a patch.
+    pub spacing: usize,
+    /// Substeps per action.
+    pub substeps: usize,
 }
 
 /// The cell, with its weights packed for blocks of candidates.
@@ -45,104 +59,144 @@ pub struct CellWeights<'a> {
 pub struct Cell {
     hidden: usize,
     action_dim: usize,
-    scene_dim: usize,
-    /// Per hidden unit: 2 keypoint weights, then A action weights already divided by the scale.
-    input: Vec<f32>,
-    /// Per hidden unit: E weights.
-    input_scene: Vec<f32>,
-    input_bias: Vec<f32>,
+    memory: usize,
+    spacing: usize,
+    substeps: usize,
+    /// `[taps * taps, hidden]`.
+    patch: Array2<f32>,
+    patch_bias: Vec<f32>,
+    /// Per hidden unit: A action weights already divided by the scale, then C memory weights.
+    context: Vec<f32>,
     /// `[hidden / OUTPUTS][hidden][OUTPUTS]`.
     middle: Vec<[f32; OUTPUTS]>,
     middle_bias: Vec<f32>,
-    output: [Vec<f32>; 2],
-    output_bias: [f32; 2],
+    /// `[2 + C][hidden]`.
+    output: Vec<f32>,
+    output_bias: Vec<f32>,
+    /// `[2][A]`, already divided by the scale.
+    free: Vec<f32>,
 }
 
-fn expect_len(argument: &'static str, expected: usize, found: usize) -> Result<()> {
+/// Room for one block.
+#[derive(Clone, Debug)]
+pub struct Scratch {
+    hidden: Vec<Lanes>,
+    row: Vec<f32>,
+    memory: Vec<Lanes>,
+    moved: Vec<Lanes>,
+}
+
+fn expect(argument: &'static str, expected: &[usize], found: &[usize]) -> Result<()> {
     if expected == found {
         Ok(())
     } else {
-        Err(Error::invalid(argument, format!("expected {expected} rows or columns, got {found}")))
+        Err(Error::invalid(argument, format!("expected shape {expected:?}, got {found:?}")))
     }
 }
 
-impl Cell {
-    /// Packs `weights` for `action_dim` action dimensions.
-    ///
-    /// # Errors
-    /// Shapes that do not fit each other, a hidden width that is not a multiple of 4, weights
-    /// that are not finite, or an `action_scale` that is not positive.
-    pub fn new(weights: CellWeights<'_>, action_dim: usize) -> Result<Self> {
-        let (hidden, inputs) = weights.input.dim();
-        if action_dim == 0 || inputs <= 2 + action_dim {
-            return Err(Error::invalid(
-                "input",
-                format!("expected more than {} columns, got {inputs}", 2 + action_dim),
-            ));
-        }
+impl CellWeights<'_> {
+    /// Checks that all shapes fit each other, and all numbers are finite; returns `(A, C)`.
+    fn validate(&self) -> Result<(usize, usize)> {
+        let (hidden, taps) = self.patch.dim();
         if hidden == 0 || hidden % OUTPUTS != 0 {
             return Err(Error::invalid(
-                "input",
+                "patch",
                 format!("expected a positive multiple of {OUTPUTS} rows, got {hidden}"),
             ));
         }
-        expect_len("input_bias", hidden, weights.input_bias.len())?;
-        expect_len("middle", hidden, weights.middle.nrows())?;
-        expect_len("middle", hidden, weights.middle.ncols())?;
-        expect_len("middle_bias", hidden, weights.middle_bias.len())?;
-        expect_len("output", 2, weights.output.nrows())?;
-        expect_len("output", hidden, weights.output.ncols())?;
-        expect_len("output_bias", 2, weights.output_bias.len())?;
-        if !(weights.action_scale.is_finite() && weights.action_scale > 0.0) {
-            return Err(Error::invalid("action_scale", "must be positive and finite"));
+        if taps.isqrt().pow(2) != taps || taps % 2 == 0 {
+            return Err(Error::invalid(
+                "patch",
+                format!("expected the square of an odd number of columns, got {taps}"),
+            ));
         }
-        let finite = |array: ArrayView2<'_, f32>| array.iter().all(|x| x.is_finite());
-        let finite_bias = |array: ArrayView1<'_, f32>| array.iter().all(|x| x.is_finite());
+        let (action_dim, outputs) = (self.free.ncols(), self.output.nrows());
+        if action_dim == 0 {
+            return Err(Error::invalid("free", "must have a column for each action dimension"));
+        }
+        if outputs < 2 {
+            return Err(Error::invalid(
+                "output",
+                format!("expected at least 2 rows, got {outputs}"),
+            ));
+        }
+        let memory = outputs - 2;
+        expect("patch_bias", &[hidden], self.patch_bias.shape())?;
+        expect("context", &[hidden, action_dim + memory], self.context.shape())?;
+        expect("middle", &[hidden, hidden], self.middle.shape())?;
+        expect("middle_bias", &[hidden], self.middle_bias.shape())?;
+        expect("output", &[outputs, hidden], self.output.shape())?;
+        expect("output_bias", &[outputs], self.output_bias.shape())?;
+        expect("free", &[2, action_dim], self.free.shape())?;
         for (argument, fine) in [
-            ("input", finite(weights.input) && finite_bias(weights.input_bias)),
-            ("middle", finite(weights.middle) && finite_bias(weights.middle_bias)),
-            ("output", finite(weights.output) && finite_bias(weights.output_bias)),
+            ("patch", self.patch.iter().all(|x| x.is_finite())),
+            ("patch_bias", self.patch_bias.iter().all(|x| x.is_finite())),
+            ("context", self.context.iter().all(|x| x.is_finite())),
+            ("middle", self.middle.iter().all(|x| x.is_finite())),
+            ("middle_bias", self.middle_bias.iter().all(|x| x.is_finite())),
+            ("output", self.output.iter().all(|x| x.is_finite())),
+            ("output_bias", self.output_bias.iter().all(|x| x.is_finite())),
+            ("free", self.free.iter().all(|x| x.is_finite())),
         ] {
             if !fine {
                 return Err(Error::invalid(argument, "weights must be finite"));
             }
         }
+        if !(self.action_scale.is_finite() && self.action_scale > 0.0) {
+            return Err(Error::invalid("action_scale", "must be positive and finite"));
+        }
+        for (argument, value) in [("spacing", self.spacing), ("substeps", self.substeps)] {
+            if value == 0 {
+                return Err(Error::invalid(argument, "must be at least 1"));
+            }
+        }
+        Ok((action_dim, memory))
+    }
+}
 
-        let moving = 2 + action_dim;
-        let mut input = Vec::with_capacity(hidden * moving);
-        let mut input_scene = Vec::with_capacity(hidden * (inputs - moving));
-        for row in weights.input.rows() {
-            for (column, &weight) in row.iter().enumerate() {
-                match column {
-                    0 | 1 => input.push(weight),
-                    c if c < moving => input.push(weight / weights.action_scale),
-                    _ => input_scene.push(weight),
-                }
+impl Cell {
+    /// Packs `weights`.
+    ///
+    /// # Errors
+    /// Shapes that do not fit each other, a hidden width that is not a multiple of 4, weights
+    /// that are not finite, or an action scale, spacing or number of substeps that is not positive.
+    pub fn new(weights: CellWeights<'_>) -> Result<Self> {
+        let (action_dim, memory) = weights.validate()?;
+        let hidden = weights.patch.nrows();
+        let scaled = |(column, &weight): (usize, &f32)| {
+            if column < action_dim {
+                weight / weights.action_scale
+            } else {
+                weight
             }
-        }
-        let mut middle = Vec::with_capacity(hidden * hidden / OUTPUTS);
-        for block in 0..hidden / OUTPUTS {
-            for i in 0..hidden {
-                middle.push(std::array::from_fn(|q| weights.middle[[block * OUTPUTS + q, i]]));
-            }
-        }
+        };
+        let rows = |matrix: ArrayView2<'_, f32>| -> Vec<f32> {
+            matrix.rows().into_iter().flat_map(|row| row.to_vec()).collect()
+        };
+        let middle = (0..hidden / OUTPUTS)
+            .flat_map(|block| (0..hidden).map(move |i| (block * OUTPUTS, i)))
+            .map(|(first, i)| std::array::from_fn(|q| weights.middle[[first + q, i]]))
+            .collect();
         Ok(Self {
             hidden,
             action_dim,
-            scene_dim: inputs - moving,
-            input,
-            input_scene,
-            input_bias: weights.input_bias.to_vec(),
+            memory,
+            spacing: weights.spacing,
+            substeps: weights.substeps,
+            patch: weights.patch.t().as_standard_layout().into_owned(),
+            patch_bias: weights.patch_bias.to_vec(),
+            context: weights
+                .context
+                .rows()
+                .into_iter()
+                .flat_map(|row| row.iter().enumerate().map(scaled).collect::<Vec<_>>())
+                .collect(),
             middle,
             middle_bias: weights.middle_bias.to_vec(),
-            output: [weights.output.row(0).to_vec(), weights.output.row(1).to_vec()],
-            output_bias: [weights.output_bias[0], weights.output_bias[1]],
+            output: rows(weights.output),
+            output_bias: weights.output_bias.to_vec(),
+            free: weights.free.iter().map(|weight| weight / weights.action_scale).collect(),
         })
-    }
-
-    /// Length of a scene code, `E`.
-    pub fn scene_dim(&self) -> usize {
-        self.scene_dim
     }
 
     /// Action dimensions, `A`.
@@ -150,50 +204,61 @@ impl Cell {
         self.action_dim
     }
 
-    /// What the scene code contributes to the first layer, `[hidden]`; the same for all
-    /// candidates and steps of a problem. `code` is `[E]`.
-    pub fn scene_bias(&self, code: &[f32]) -> Vec<f32> {
-        self.input_bias
-            .iter()
-            .zip(self.input_scene.chunks_exact(self.scene_dim))
-            .map(|(&bias, row)| row.iter().zip(code).fold(bias, |sum, (&w, &x)| sum + w * x))
-            .collect()
+    /// What the cell sees in a scene; `map` is `[S, S]`, row by row.
+    pub fn field(&self, map: &[f32], size: usize) -> SceneField {
+        SceneField::new(map, size, self.patch.view(), &self.patch_bias, self.spacing)
     }
 
-    /// Room for the hidden units of one block.
-    pub fn scratch(&self) -> Vec<Lanes> {
-        vec![[0.0; LANES]; self.hidden]
+    /// Room for one block.
+    pub fn scratch(&self) -> Scratch {
+        Scratch {
+            hidden: vec![[0.0; LANES]; self.hidden],
+            row: vec![0.0; self.hidden],
+            memory: vec![[0.0; LANES]; self.memory],
+            moved: vec![[0.0; LANES]; 2 + self.memory],
+        }
     }
 
-    /// Moves a block of keypoints (row, column in [-1, 1]) by one action (`A` numbers).
+    /// Moves a block of keypoints (row, column in pixels) by one action (`A` numbers).
     ///
-    /// `scene_bias` comes from [`scene_bias`](Self::scene_bias), `scratch` from
-    /// [`scratch`](Self::scratch). `hidden * (hidden + A + 4)` multiply-adds per candidate.
+    /// `field` comes from [`field`](Self::field), `scratch` from [`scratch`](Self::scratch).
+    /// `substeps * hidden * (hidden + A + 2 C + 6)` multiply-adds per candidate.
     pub fn advance(
         &self,
-        scene_bias: &[f32],
+        field: &SceneField,
         keypoint: &mut [Lanes; 2],
         action: &[Lanes],
-        scratch: &mut [Lanes],
+        scratch: &mut Scratch,
     ) {
-        advance(self, scene_bias, keypoint, action, scratch);
+        for lanes in &mut scratch.memory {
+            *lanes = [0.0; LANES];
+        }
+        for _ in 0..self.substeps {
+            substep(self, field, keypoint, action, scratch);
+        }
     }
 }
 
 #[multiversion::multiversion(targets("x86_64+avx2"))]
-fn advance(
+fn substep(
     cell: &Cell,
-    scene_bias: &[f32],
+    field: &SceneField,
     keypoint: &mut [Lanes; 2],
     action: &[Lanes],
-    scratch: &mut [Lanes],
+    scratch: &mut Scratch,
 ) {
-    let moving = 2 + cell.action_dim;
-    for ((unit, weights), &bias) in
-        scratch.iter_mut().zip(cell.input.chunks_exact(moving)).zip(scene_bias)
+    let Scratch { hidden, row, memory, moved } = scratch;
+    for lane in 0..LANES {
+        field.sample([keypoint[0][lane], keypoint[1][lane]], row);
+        for (unit, &feature) in hidden.iter_mut().zip(row.iter()) {
+            unit[lane] = feature;
+        }
+    }
+    for (unit, weights) in
+        hidden.iter_mut().zip(cell.context.chunks_exact(cell.action_dim + cell.memory))
     {
-        let mut sum = [bias; LANES];
-        for (input, &weight) in keypoint.iter().chain(action).zip(weights) {
+        let mut sum = *unit;
+        for (input, &weight) in action.iter().chain(memory.iter()).zip(weights) {
             for lane in 0..LANES {
                 sum[lane] += weight * input[lane];
             }
@@ -203,30 +268,50 @@ fn advance(
         }
     }
 
-    let mut moved = [[cell.output_bias[0]; LANES], [cell.output_bias[1]; LANES]];
+    for (out, &bias) in moved.iter_mut().zip(&cell.output_bias) {
+        *out = [bias; LANES];
+    }
     for (block, weights) in cell.middle.chunks_exact(cell.hidden).enumerate() {
         let first = block * OUTPUTS;
         let mut sums: [Lanes; OUTPUTS] =
             std::array::from_fn(|q| [cell.middle_bias[first + q]; LANES]);
-        for (unit, weight) in scratch.iter().zip(weights) {
+        for (unit, weight) in hidden.iter().zip(weights) {
             for q in 0..OUTPUTS {
                 for lane in 0..LANES {
                     sums[q][lane] += weight[q] * unit[lane];
                 }
             }
         }
-        for (q, sum) in sums.iter().enumerate() {
-            for (axis, out) in moved.iter_mut().enumerate() {
-                let weight = cell.output[axis][first + q];
-                for lane in 0..LANES {
-                    out[lane] += weight * sum[lane].max(0.0);
-                }
+        for sum in &mut sums {
+            for value in sum.iter_mut() {
+                *value = value.max(0.0);
             }
         }
+        for (out, weights) in moved.iter_mut().zip(cell.output.chunks_exact(cell.hidden)) {
+            let mut total = *out;
+            for (q, sum) in sums.iter().enumerate() {
+                for lane in 0..LANES {
+                    total[lane] += weights[first + q] * sum[lane];
+                }
+            }
+            *out = total;
+        }
     }
-    for (position, out) in keypoint.iter_mut().zip(&moved) {
+    for (axis, position) in keypoint.iter_mut().enumerate() {
+        let mut motion = moved[axis];
+        let free = &cell.free[axis * cell.action_dim..][..cell.action_dim];
+        for (input, &weight) in action.iter().zip(free) {
+            for lane in 0..LANES {
+                motion[lane] += weight * input[lane];
+            }
+        }
         for lane in 0..LANES {
-            position[lane] += out[lane];
+            position[lane] += motion[lane];
+        }
+    }
+    for (kept, change) in memory.iter_mut().zip(&moved[2..]) {
+        for lane in 0..LANES {
+            kept[lane] += change[lane];
         }
     }
 }

@@ -5,126 +5,25 @@ use std::sync::Arc;
 use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3, ArrayView4, Axis};
 use rayon::prelude::*;
 
-use super::cell::{Cell, Lanes, LANES};
+use super::cell::{Cell, Lanes, Scratch, LANES};
+use super::field::SceneField;
+use super::frames::KeypointFrames;
 use super::sprite::{GoalTerms, Sprite};
 use crate::image::{GaussianBlur, OverHorizon};
 use crate::planner::{ActionSpace, Frames, WorldModel};
 use crate::{Error, Result};
 
-/// Frames as the model sees them: the image, where the moving part is, and a code of the rest.
-///
-/// Selecting frames copies indices, not images.
-#[derive(Clone, Debug)]
-pub struct KeypointFrames {
-    pool: Arc<Pool>,
-    index: Vec<usize>,
-}
-
-#[derive(Debug)]
-struct Pool {
-    size: usize,
-    images: Vec<u8>,
-    keypoints: Vec<[f32; 2]>,
-    codes: Array2<f32>,
-}
-
-impl KeypointFrames {
-    /// Frames from `images[N, S, S, 3]`, `keypoints[N, 2]` (row, column in [-1, 1], pixel centres
-    /// of the first and last row at -1 and 1) and scene codes `[N, E]`.
-    ///
-    /// # Errors
-    /// Shapes that do not fit each other, or numbers that are not finite.
-    pub fn new(
-        images: ArrayView4<'_, u8>,
-        keypoints: ArrayView2<'_, f32>,
-        codes: ArrayView2<'_, f32>,
-    ) -> Result<Self> {
-        let (count, size, width, channels) = images.dim();
-        if size != width || channels != 3 || size < 2 {
-            return Err(Error::invalid(
-                "images",
-                format!("expected shape [N, S, S, 3], got {:?}", images.shape()),
-            ));
-        }
-        if keypoints.dim() != (count, 2) {
-            return Err(Error::invalid(
-                "keypoints",
-                format!("expected shape [{count}, 2], got {:?}", keypoints.shape()),
-            ));
-        }
-        if codes.nrows() != count {
-            return Err(Error::invalid(
-                "codes",
-                format!("expected {count} rows, got {}", codes.nrows()),
-            ));
-        }
-        if keypoints.iter().any(|x| !x.is_finite()) {
-            return Err(Error::invalid("keypoints", "must be finite"));
-        }
-        if codes.iter().any(|x| !x.is_finite()) {
-            return Err(Error::invalid("codes", "must be finite"));
-        }
-        let pool = Pool {
-            size,
-            images: images.iter().copied().collect(),
-            keypoints: keypoints.rows().into_iter().map(|row| [row[0], row[1]]).collect(),
-            codes: codes.as_standard_layout().into_owned(),
-        };
-        Ok(Self { pool: Arc::new(pool), index: (0..count).collect() })
-    }
-
-    /// Height and width of the images, `S`.
-    pub fn image_size(&self) -> usize {
-        self.pool.size
-    }
-
-    /// Image `i`, `S * S * 3` bytes.
-    pub fn image(&self, i: usize) -> &[u8] {
-        let bytes = self.pool.size * self.pool.size * 3;
-        &self.pool.images[self.index[i] * bytes..][..bytes]
-    }
-
-    /// Keypoint `i`, (row, column) in [-1, 1].
-    pub fn keypoint(&self, i: usize) -> [f32; 2] {
-        self.pool.keypoints[self.index[i]]
-    }
-
-    /// Scene code `i`, `[E]`.
-    pub fn code(&self, i: usize) -> &[f32] {
-        let width = self.pool.codes.ncols();
-        self.pool.codes.as_slice().map_or(&[], |all| &all[self.index[i] * width..][..width])
-    }
-}
-
-impl Frames for KeypointFrames {
-    fn len(&self) -> usize {
-        self.index.len()
-    }
-
-    fn select(&self, index: &[usize]) -> Result<Self> {
-        let picked = index
-            .iter()
-            .map(|&i| {
-                self.index.get(i).copied().ok_or_else(|| {
-                    Error::invalid("index", format!("{i} is beyond {} frames", self.len()))
-                })
-            })
-            .collect::<Result<_>>()?;
-        Ok(Self { pool: Arc::clone(&self.pool), index: picked })
-    }
-}
-
 /// Learned dynamics whose planning cost is the pixel cost of the predicted frame.
 ///
 /// # How it works
 /// 1. The cell moves the keypoint of the start frame by each action in turn
-///    (`hidden^2` multiply-adds per step and candidate).
+///    (about `substeps * hidden^2` multiply-adds per step and candidate).
 /// 2. The predicted frame is the start frame with its sprite moved to the new keypoint.
 /// 3. Its squared distance to the goal image, per pixel, has a closed form ([`Sprite`]), so no
 ///    frame is decoded.
 #[derive(Clone, Debug)]
 pub struct KeypointWorld {
-    cell: Cell,
+    cell: Arc<Cell>,
     sprite: Sprite,
     size: usize,
     actions: ActionSpace,
@@ -158,32 +57,30 @@ impl KeypointWorld {
             ));
         }
         let gram = GaussianBlur::new(blur_sigma, "blur")?.map(|blur| blur.gram_matrix(size));
-        Ok(Self { cell, sprite, size, actions, gram, over_horizon })
+        Ok(Self { cell: Arc::new(cell), sprite, size, actions, gram, over_horizon })
     }
 
-    /// Keypoint in [-1, 1] to pixels.
-    fn pixels(&self, keypoint: [f32; 2]) -> [f32; 2] {
-        keypoint.map(|x| (x + 1.0) * (0.5 * (self.size - 1) as f32))
+    /// Frames of this world from `images[N, S, S, 3]`, `keypoints[N, 2]` (row, column in pixels)
+    /// and scene `maps[N, S, S]`: what the cell's patches look at.
+    ///
+    /// # Errors
+    /// Shapes that do not fit each other or the world's image size, or numbers that are not
+    /// finite.
+    pub fn frames(
+        &self,
+        images: ArrayView4<'_, u8>,
+        keypoints: ArrayView2<'_, f32>,
+        maps: ArrayView3<'_, f32>,
+    ) -> Result<KeypointFrames> {
+        KeypointFrames::new(Arc::clone(&self.cell), self.size, images, keypoints, maps)
     }
 
     fn check(&self, argument: &'static str, frames: &KeypointFrames) -> Result<()> {
-        if frames.image_size() != self.size {
-            return Err(Error::invalid(
-                argument,
-                format!("expected images of {} pixels, got {}", self.size, frames.image_size()),
-            ));
+        if frames.belong_to(&self.cell) {
+            Ok(())
+        } else {
+            Err(Error::invalid(argument, "are frames of another world"))
         }
-        if frames.pool.codes.ncols() != self.cell.scene_dim() {
-            return Err(Error::invalid(
-                argument,
-                format!(
-                    "expected scene codes of length {}, got {}",
-                    self.cell.scene_dim(),
-                    frames.pool.codes.ncols()
-                ),
-            ));
-        }
-        Ok(())
     }
 
     fn terms(
@@ -199,7 +96,7 @@ impl KeypointWorld {
             .zip(goals.image(g))
             .map(|(&a, &b)| (f32::from(a) - f32::from(b)) / 255.0)
             .collect();
-        self.sprite.draw(self.pixels(starts.keypoint(s)), -1.0, &mut residual, self.size);
+        self.sprite.draw(starts.keypoint(s), -1.0, &mut residual, self.size);
         self.sprite.goal_terms(&residual, self.size, self.gram.as_ref())
     }
 
@@ -208,10 +105,10 @@ impl KeypointWorld {
     fn roll(
         &self,
         keypoint: [f32; 2],
-        scene_bias: &[f32],
+        field: &SceneField,
         actions: ArrayView3<'_, f32>,
         first: usize,
-        scratch: &mut Scratch,
+        scratch: &mut Room,
         mut visit: impl FnMut(usize, &[Lanes; 2]),
     ) {
         let last = actions.len_of(Axis(0)) - 1;
@@ -222,62 +119,60 @@ impl KeypointWorld {
                     *value = actions[[(first + lane).min(last), step, dimension]];
                 }
             }
-            self.cell.advance(scene_bias, &mut block, &scratch.action, &mut scratch.hidden);
+            self.cell.advance(field, &mut block, &scratch.action, &mut scratch.cell);
             visit(step, &block);
         }
     }
 
-    fn scratch(&self) -> Scratch {
-        Scratch { action: vec![[0.0; LANES]; self.actions.dim()], hidden: self.cell.scratch() }
+    fn scratch(&self) -> Room {
+        Room { action: vec![[0.0; LANES]; self.actions.dim()], cell: self.cell.scratch() }
     }
 
     /// Cost of one candidate's keypoint, per pixel.
     fn cost(&self, block: &[Lanes; 2], lane: usize, terms: &GoalTerms) -> f32 {
-        let keypoint = self.pixels([block[0][lane], block[1][lane]]);
+        let keypoint = [block[0][lane], block[1][lane]];
         let sum = self.sprite.squared_distance(keypoint, terms, self.gram.as_ref());
         sum.max(0.0) / (self.size * self.size) as f32
     }
 
-    /// Keypoints `[D, H, 2]` (row, column in [-1, 1]) that the cell predicts from one frame for
-    /// `actions[D, H, A]`.
+    /// Keypoints `[B, D, H, 2]` (row, column in pixels) that the cell predicts from each of `B`
+    /// frames for `actions[B, D, H, A]`.
     ///
     /// # Errors
-    /// Not exactly one frame, or frames or actions of another model.
+    /// Frames or actions of another model, or not as many of one as of the other.
     pub fn rollout(
         &self,
-        start: &KeypointFrames,
-        actions: ArrayView3<'_, f32>,
-    ) -> Result<Array3<f32>> {
-        self.check("start", start)?;
-        check_actions(start.len(), 1, actions.len_of(Axis(2)), self.actions.dim())?;
-        let (candidates, steps, _) = actions.dim();
-        let scene_bias = self.cell.scene_bias(start.code(0));
-        let mut path = Array3::zeros((candidates, steps, 2));
-        path.axis_chunks_iter_mut(Axis(0), LANES).into_par_iter().enumerate().for_each_init(
-            || self.scratch(),
-            |scratch, (block, mut out)| {
-                self.roll(
-                    start.keypoint(0),
-                    &scene_bias,
-                    actions,
-                    block * LANES,
-                    scratch,
-                    |step, at| {
+        starts: &KeypointFrames,
+        actions: ArrayView4<'_, f32>,
+    ) -> Result<Array4<f32>> {
+        self.check("starts", starts)?;
+        let (problems, candidates, steps, dim) = actions.dim();
+        check_actions(problems, starts.len(), dim, self.actions.dim())?;
+        let mut paths = Array4::zeros((problems, candidates, steps, 2));
+        paths.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(b, mut path)| {
+            let field = starts.field(b);
+            let mine = actions.index_axis(Axis(0), b);
+            path.axis_chunks_iter_mut(Axis(0), LANES).into_par_iter().enumerate().for_each_init(
+                || self.scratch(),
+                |scratch, (block, mut out)| {
+                    let first = block * LANES;
+                    self.roll(starts.keypoint(b), field, mine, first, scratch, |step, at| {
                         for lane in 0..out.len_of(Axis(0)) {
                             out[[lane, step, 0]] = at[0][lane];
                             out[[lane, step, 1]] = at[1][lane];
                         }
-                    },
-                );
-            },
-        );
-        Ok(path)
+                    });
+                },
+            );
+        });
+        Ok(paths)
     }
 }
 
-struct Scratch {
+/// Room for one block: its actions, and the cell's.
+struct Room {
     action: Vec<Lanes>,
-    hidden: Vec<Lanes>,
+    cell: Scratch,
 }
 
 fn check_actions(problems: usize, expected: usize, dim: usize, expected_dim: usize) -> Result<()> {
@@ -318,14 +213,14 @@ impl WorldModel for KeypointWorld {
         // Goal terms are as dear as a few dozen candidates, so blocks of one problem share them.
         costs.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(b, mut row)| {
             let terms = self.terms(starts, b, goals, b);
-            let scene_bias = self.cell.scene_bias(starts.code(b));
+            let field = starts.field(b);
             let mine = actions.index_axis(Axis(0), b);
             row.axis_chunks_iter_mut(Axis(0), LANES).into_par_iter().enumerate().for_each_init(
                 || self.scratch(),
                 |scratch, (block, mut out)| {
                     let mut tally = vec![self.over_horizon.start(); out.len()];
                     let first = block * LANES;
-                    self.roll(starts.keypoint(b), &scene_bias, mine, first, scratch, |step, at| {
+                    self.roll(starts.keypoint(b), field, mine, first, scratch, |step, at| {
                         if self.over_horizon.counts(step, steps) {
                             for (lane, cost) in tally.iter_mut().enumerate() {
                                 *cost = self.over_horizon.add(*cost, self.cost(at, lane, &terms));
@@ -359,7 +254,7 @@ impl KeypointWorld {
         actions: ArrayView3<'_, f32>,
     ) -> Result<Array2<f32>> {
         self.check("goals", goals)?;
-        let path = self.rollout(start, actions)?;
+        let path = self.rollout(start, actions.insert_axis(Axis(0)))?.index_axis_move(Axis(0), 0);
         let (candidates, steps, _) = path.dim();
         let mut costs = Array2::zeros((goals.len(), candidates));
         costs.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(g, mut row)| {

@@ -1,0 +1,211 @@
+"""The compact models from data to plans: training, scene codes, distances."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+
+import hvf_core
+from hvf.data.collect import CollectConfig, collect_maze
+from hvf.worlds import MazeWorldConfig, load_maze
+
+torch = pytest.importorskip("torch")
+
+from hvf.models.cvae import CVAE, CVAEConfig  # noqa: E402
+from hvf.models.frames import to_unit  # noqa: E402
+from hvf.models.keypoint_dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
+from hvf.models.scene_code import SceneCode  # noqa: E402
+from hvf.models.temporal_distance import TemporalDistance, TemporalDistanceConfig  # noqa: E402
+from hvf.training.dynamics import DynamicsTraining, train_dynamics  # noqa: E402
+from hvf.training.keypoint_generator import (  # noqa: E402
+    GeneratorTraining,
+    train_keypoint_generator,
+)
+from hvf.training.loop import LoopConfig  # noqa: E402
+from hvf.training.temporal_distance import (  # noqa: E402
+    PairSampler,
+    TemporalDistanceTraining,
+    train_temporal_distance,
+)
+from hvf.training.transitions import Transitions, TransitionSampler  # noqa: E402
+from hvf.worlds.distances import DistanceWorld, LatentDistance, StepsDistance  # noqa: E402
+from hvf.worlds.learned import LearnedWorld  # noqa: E402
+
+SHORT = LoopConfig(
+    steps=8, learning_rate=1e-3, validate_every=8, checkpoint_every=4, precision="float32"
+)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "maze.h5"
+    collect_maze(CollectConfig(path, episodes=60, steps=10), Console(file=io.StringIO()))
+    return path
+
+
+@pytest.fixture(scope="module")
+def runs(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Models trained for a few steps by each of the three trainings."""
+    folder = tmp_path_factory.mktemp("runs")
+    quiet = Console(file=io.StringIO())
+    loops = {"perception_loop": SHORT, "loop": SHORT}
+    train_dynamics(DynamicsTraining(data, folder / "dynamics", episodes=30, **loops), quiet)
+    dynamics = folder / "dynamics" / "model.safetensors"
+    train_keypoint_generator(
+        GeneratorTraining(data, dynamics, folder / "generator", episodes=30, loop=SHORT), quiet
+    )
+    train_temporal_distance(
+        TemporalDistanceTraining(data, dynamics, folder / "steps", episodes=30, loop=SHORT), quiet
+    )
+    return folder
+
+
+def test_trained_models_plan_with_every_cost(runs: Path) -> None:
+    config = MazeWorldConfig(
+        dynamics=runs / "dynamics" / "model.safetensors",
+        keypoint_generator=runs / "generator" / "model.safetensors",
+        temporal_distance=runs / "steps" / "model.safetensors",
+    )
+    images = hvf_core.maze_collect(3, 0, 2, 1)[0][:, 0]
+    mpc = hvf_core.VisualMPC(horizon=2, samples=8, elites=2, iterations=2)
+    search = hvf_core.HVF(mpc=mpc, subgoals=1, samples=6, elites=2, iterations=2)
+    for cost in ("pixel", "temporal"):
+        for over_horizon in ("last", "min"):
+            world, generator = load_maze(
+                dataclasses.replace(config, cost=cost, over_horizon=over_horizon)
+            )
+            found = search.search(world, generator, images[0], images[1], seed=1)
+            assert np.isfinite(found.cost)
+
+
+def test_a_finished_training_is_not_done_again(data: Path, runs: Path) -> None:
+    checkpoint = runs / "dynamics" / "model.safetensors"
+    before = checkpoint.read_bytes()
+    said = io.StringIO()
+    loops = {"perception_loop": SHORT, "loop": SHORT}
+    config = DynamicsTraining(data, runs / "dynamics", episodes=30, **loops)
+    train_dynamics(config, Console(file=said, width=300))
+    assert checkpoint.read_bytes() == before
+    assert said.getvalue().count("already trained for 8 steps") == 2
+
+
+def test_transitions_are_what_the_file_holds(data: Path) -> None:
+    torch.manual_seed(0)
+    model = KeypointDynamics(DynamicsConfig()).eval()
+    found = Transitions(data, model, episodes=6, first=2)
+    frames, actions, _ = hvf_core.maze_collect(0, 2, 6, 10)
+    np.testing.assert_array_equal(found.actions, actions)
+    with torch.inference_mode():
+        keypoints = model.perception.keypoints(to_unit(torch.from_numpy(frames[4])))
+        background = model.background(to_unit(torch.from_numpy(frames[4, [10]])), keypoints[10:])
+    np.testing.assert_allclose(found.keypoints[4], keypoints.numpy(), atol=1e-4)
+    np.testing.assert_allclose(found.backgrounds[4, 1], background[0].numpy(), atol=1e-3)
+    batch = TransitionSampler(found, scenes=5, transitions=7, seed=3).batch(11)
+    again = TransitionSampler(found, scenes=5, transitions=7, seed=3).batch(11)
+    for name in batch:
+        assert torch.equal(batch[name], again[name])
+    for scene in range(5):
+        drawn = batch["backgrounds"][scene].numpy()
+        (episode, _), *_ = np.argwhere((found.backgrounds == drawn).all(axis=(2, 3)))
+        for before, action, after in zip(
+            batch["before"][scene], batch["actions"][scene], batch["after"][scene], strict=True
+        ):
+            time = np.flatnonzero((found.actions[episode] == action.numpy()).all(axis=1))[0]
+            np.testing.assert_array_equal(found.keypoints[episode, time], before)
+            np.testing.assert_array_equal(found.keypoints[episode, time + 1], after)
+
+
+def test_scene_codes_are_whitened_principal_components() -> None:
+    rng = np.random.default_rng(0)
+    factors = rng.standard_normal((400, 3))
+    maps = (factors @ rng.standard_normal((3, 64 * 64)) + 5.0).reshape(-1, 64, 64)
+    maps += 0.01 * rng.standard_normal(maps.shape)
+    tensor = torch.from_numpy(maps).float()
+    code = SceneCode(64, 3).fit(tensor)
+    codes = code(tensor).numpy()
+    pooled = maps.reshape(-1, 32, 2, 32, 2).mean(axis=(2, 4)).reshape(400, -1)
+    left, values, _ = np.linalg.svd(pooled - pooled.mean(axis=0), full_matrices=False)
+    variance = values[:3] ** 2 / 400
+    expected = left[:, :3] * values[:3] / np.sqrt(variance + 1e-3 * variance[0])
+    signs = np.sign((codes * expected).sum(axis=0))
+    np.testing.assert_allclose(codes, expected * signs, atol=2e-3)
+
+
+@settings(max_examples=50)
+@given(steps=st.lists(st.integers(0, 10_000), min_size=1, max_size=20), classes=st.integers(2, 12))
+def test_classes_of_steps_double_in_width(steps: list[int], classes: int) -> None:
+    model = TemporalDistance(TemporalDistanceConfig(classes=classes))
+    found = model.classes(torch.tensor(steps)).tolist()
+    assert found == [min(step.bit_length(), classes - 1) for step in steps]
+
+
+def test_pairs_are_as_many_steps_apart_as_they_say() -> None:
+    clock = np.arange(20.0, dtype=np.float32)
+    keypoints = np.stack([np.stack([clock, clock], axis=1)] * 3)
+    batch = PairSampler(keypoints, np.zeros((3, 4), np.float32), 500, seed=0).batch(2)
+    apart = (batch["after"] - batch["before"])[:, 0]
+    np.testing.assert_array_equal(apart.abs(), batch["steps"].float())
+    assert set(batch["steps"].tolist()) >= {0, 1, 2, 19} - {19}
+    assert (apart > 0).any()
+    assert (apart < 0).any()
+
+
+def test_latent_distance_is_between_posterior_means_of_drawn_frames() -> None:
+    torch.manual_seed(1)
+    world = LearnedWorld(KeypointDynamics(DynamicsConfig()))
+    cvae = CVAE(CVAEConfig()).eval()
+    distances = DistanceWorld(world, LatentDistance(cvae, world), "sum")
+    images = hvf_core.maze_collect(5, 0, 4, 1)[0][:, 0]
+    frames = world.observe(images)
+    starts, goals = frames[np.array([0, 1])], frames[np.array([2, 3])]
+    actions = np.random.default_rng(0).uniform(-3, 3, (2, 3, 2, 2)).astype(np.float32)
+    found = distances.rollout_costs(starts, goals, actions)
+    path = world.native.rollout(starts, actions)
+    with torch.inference_mode():
+        for b in range(2):
+            scene = to_unit(torch.from_numpy(images[b : b + 1]))
+            aim = cvae.encode(to_unit(torch.from_numpy(images[2 + b : 3 + b])), scene)[0]
+            before = torch.from_numpy(starts.keypoints[b : b + 1])
+            for d in range(3):
+                total = 0.0
+                for h in range(2):
+                    after = torch.from_numpy(path[b, d, h : h + 1])
+                    drawn = world.dynamics.draw(scene, before, after).clamp(0, 1)
+                    total += float((cvae.encode(drawn, scene)[0] - aim).square().sum())
+                assert found[b, d] == pytest.approx(total, rel=1e-3)
+
+
+def test_temporal_distance_is_the_expected_class() -> None:
+    torch.manual_seed(2)
+    world = LearnedWorld(KeypointDynamics(DynamicsConfig()))
+    model = TemporalDistance(TemporalDistanceConfig(classes=4)).eval()
+    frames = world.observe(hvf_core.maze_collect(5, 0, 2, 1)[0][:, 0])
+    start, goal = frames[np.array([0])], frames[np.array([1])]
+    actions = np.random.default_rng(0).uniform(-3, 3, (1, 5, 3, 2)).astype(np.float32)
+    found = DistanceWorld(world, StepsDistance(model), "min").rollout_costs(start, goal, actions)
+    path = world.native.rollout(start, actions)
+    with torch.inference_mode():
+        code = model.code(torch.from_numpy(start.maps))
+        for d in range(5):
+            costs = []
+            for h in range(3):
+                logits = model.logits(
+                    torch.from_numpy(path[0, d, h : h + 1]), torch.from_numpy(goal.keypoints), code
+                )[0].double()
+                weights = np.exp(logits.numpy()) / np.exp(logits.numpy()).sum()
+                costs.append(float(weights @ np.arange(4)))
+            assert found[0, d] == pytest.approx(min(costs), rel=1e-4)
+
+
+def test_other_costs_are_for_learned_models_only() -> None:
+    with pytest.raises(ValueError, match="cost: 'temporal' needs model='learned'"):
+        MazeWorldConfig(model="simulator", cost="temporal")
+    with pytest.raises(ValueError, match="cost: must be one of pixel, latent, temporal"):
+        MazeWorldConfig(cost="l1")  # type: ignore[arg-type]
