@@ -31,7 +31,7 @@ from hvf.envs.desk.simulator import (
     block_positions,
     end_effectors,
 )
-from hvf.envs.desk.tasks import MAX_STEPS, TASKS, TaskName, make_episodes, object_success
+from hvf.envs.desk.tasks import MAX_STEPS, OFF_TABLE, TASKS, TaskName, make_episodes, object_success
 
 HIGH, LOW = 0.12, 0.03
 BESIDE = BLOCK_SIZE / np.sqrt(2) + 0.022 + 0.012
@@ -68,7 +68,7 @@ class Script:
         for _ in range(4):
             order = sorted(np.flatnonzero(self.blocks), key=lambda i: -abs(self.block(i)[1]))
             for i in order:
-                if self.block(i)[2] > 0:
+                if self.block(i)[2] > OFF_TABLE:
                     yield from self._push_off(int(i))
             if "door" in self.task:
                 yield from self._close_door()
@@ -82,7 +82,7 @@ class Script:
         yield from self._go((x, y - side * BESIDE, LOW), 4)
         for _ in range(14):
             x, y, z = self.block(i)
-            if z < 0:
+            if z < OFF_TABLE:
                 break
             # Stay behind the cube's middle while it slides.
             yield self._towards((x, self.tip()[1] + side * STEP_LENGTH, LOW), speed=0.9)

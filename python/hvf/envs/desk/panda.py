@@ -164,13 +164,13 @@ def add_to(spec: mujoco.MjSpec, base: Floats) -> None:
     body = spec.worldbody.add_body(name="panda_base", pos=list(base))
     _draw(body, [0, 0, -0.02], [0, 0, 0.14], 0.045, _GREY)
     drawings: dict[int, tuple[list[float], list[float], float, Colour]] = {
-        0: ([0, 0, -0.19], [0, 0, 0.0], 0.038, _WHITE),
-        1: ([0, 0, 0], [0, -0.21, 0], 0.034, _WHITE),
-        2: ([0, 0, -0.106], [0, 0, 0], 0.030, _GREY),
-        3: ([0, 0, 0], [-0.0825, 0.10, 0], 0.028, _WHITE),
-        4: ([0, 0, -0.284], [0, 0, 0], 0.024, _WHITE),
-        5: ([0, 0, 0], [0.088, 0, 0], 0.026, _GREY),
-        6: ([0, 0, 0], [0, 0, FLANGE], 0.024, _WHITE),
+        0: ([0, 0, -0.19], [0, 0, 0.0], 0.034, _WHITE),
+        1: ([0, 0, 0], [0, -0.21, 0], 0.026, _WHITE),
+        2: ([0, 0, -0.106], [0, 0, 0], 0.024, _GREY),
+        3: ([0, 0, 0], [-0.0825, 0.10, 0], 0.021, _WHITE),
+        4: ([0, 0, -0.284], [0, 0, 0], 0.017, _WHITE),
+        5: ([0, 0, 0], [0.088, 0, 0], 0.019, _GREY),
+        6: ([0, 0, 0], [0, 0, FLANGE], 0.018, _WHITE),
     }
     for i, (a, d, alpha) in enumerate(DH):
         body = body.add_body(

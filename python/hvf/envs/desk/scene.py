@@ -25,7 +25,7 @@ TABLE_X, TABLE_Y = (0.36, 0.80), 0.42
 
 DOOR_TRAVEL = 0.40
 """From closed (0) to open."""
-HANDLE_X, HANDLE_Z, HANDLE_RADIUS = 0.575, (0.08, 0.23), 0.011
+HANDLE_X, HANDLE_Z, HANDLE_RADIUS = 0.545, (0.08, 0.23), 0.011
 HANDLE_CLOSED_Y = -0.20
 """The handle's y with the door closed; it is ``HANDLE_CLOSED_Y`` plus the door's opening."""
 HUTCH_X = 0.665

@@ -55,6 +55,10 @@ class DivergenceError(RuntimeError):
         self.which = which
         self.step = step
 
+    def __reduce__(self) -> tuple[type[DivergenceError], tuple[list[int], int, str]]:
+        # From one process to another.
+        return DivergenceError, (self.which, self.step, str(self))
+
 
 class DeskSimulator:
     """The desk's physics.

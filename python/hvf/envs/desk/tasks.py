@@ -53,6 +53,9 @@ _OBJECTS: dict[TaskName, tuple[bool, int]] = {
 
 DOOR_CLOSED = 0.02
 """The door counts as closed below this opening, m."""
+OFF_TABLE = 0.02
+"""A cube is off the table below this height of its centre, m. One that came to lie on another on
+the floor is at 0.005 m."""
 DOOR_OPEN = (0.25, 0.40)
 """Where the door of a door task starts, m."""
 
@@ -120,7 +123,7 @@ def object_success(task: TaskName, blocks: NDArray[np.bool_], states: Floats) ->
     """Whether door, red, green and blue are where the task wants them, bool ``[B, 4]``.
 
     What the task does not ask for is True. The door is closed below 0.02 m of opening; a cube is
-    off the table when its centre is below the table's top.
+    off the table when its centre is below 0.02 m (at rest on the table it is at 0.035 m).
 
     Args:
         task: name of the task.
@@ -131,7 +134,7 @@ def object_success(task: TaskName, blocks: NDArray[np.bool_], states: Floats) ->
     done = np.ones((len(states), 1 + len(BLOCKS)), np.bool_)
     if _OBJECTS[task][0]:
         done[:, 0] = states[:, DOOR] < DOOR_CLOSED
-    done[:, 1:] = ~blocks | (block_positions(states)[:, :, 2] < 0.0)
+    done[:, 1:] = ~blocks | (block_positions(states)[:, :, 2] < OFF_TABLE)
     return done
 
 
