@@ -40,6 +40,8 @@ BLOCK_REACH = BLOCK_SIZE / np.sqrt(2)
 """Half the diagonal of a cube's face, m."""
 _FINGER_REACH = float(np.hypot(panda.FINGER[0], panda.FINGER[1]))
 _MARGIN = 0.008
+# Where the fingertip starts in collected episodes, m; clear of the door's handle.
+_FINGERTIP = ((0.30, -0.40, 0.05), (0.50, 0.40, 0.12))
 # Until the spare degree of freedom is at rest too: zero action then moves no joint.
 _ITERATIONS = 150
 
@@ -105,7 +107,7 @@ def random_arrangement(
             break
     blocks = np.column_stack([places, np.full(len(BLOCKS), BLOCK_SIZE / 2)])
     while end_effector is None:
-        x, y, z = (float(value) for value in rng.uniform((0.30, -0.40, 0.05), (0.52, 0.40, 0.12)))
+        x, y, z = rng.uniform(*_FINGERTIP).tolist()
         apart = np.hypot(*(places - (x, y)).T).min() > BLOCK_REACH + _FINGER_REACH + _MARGIN
         if z > BLOCK_SIZE + _MARGIN or (apart and not over_drawer(x, y, drawer, _FINGER_REACH)):
             end_effector = (x, y, z)

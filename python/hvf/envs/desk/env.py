@@ -108,6 +108,7 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         )
         self._seed: int | None = None
         self._next_episode = 0
+        self._number = 0
         self._steps = 0
         self._state: Floats | None = None
         self._episode: Episodes | None = None
@@ -138,7 +139,8 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
                 "options: may hold 'state' and 'episode', got also " + ", ".join(map(repr, options))
             )
         state = None if start is None else _checked_state(start)
-        self._episode = make_episodes(self.simulator, self.task, self._seed, int(number), 1)
+        self._number = int(number)
+        self._episode = make_episodes(self.simulator, self.task, self._seed, self._number, 1)
         self._next_episode += 1
         self._state = self._episode.starts if state is None else state[None]
         self._steps = 0
@@ -165,7 +167,7 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
             raise DivergenceError(
                 error.which,
                 self._steps,
-                f"the simulation diverged: seed {self._seed}, episode {self._next_episode - 1}, "
+                f"the simulation diverged: seed {self._seed}, episode {self._number}, "
                 f"step {self._steps}",
             ) from error
         self._steps += 1

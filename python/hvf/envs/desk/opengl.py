@@ -14,7 +14,7 @@ from typing import Any
 # Backend to the names under which its library is found, and the Debian packages that bring it.
 _LIBRARIES = {
     "osmesa": (("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so"), "libosmesa6"),
-    "egl": (("libEGL.so.1", "libEGL.so"), "libegl1 libgl1-mesa-dri"),
+    "egl": (("libEGL.so.1", "libEGL.so"), "libegl1 libopengl0 libgl1-mesa-dri"),
 }
 
 

@@ -134,22 +134,23 @@ def inverse_kinematics(
     identity = np.eye(JOINTS)
     error = np.empty((len(joints), 6))
     jacobian = np.empty((len(joints), 6, JOINTS))
-    for _ in range(iterations):
+    for iteration in range(iterations):
         poses = frames(joints, base)
         tip, turn = poses[:, JOINTS, :3, 3], poses[:, JOINTS, :3, :3]
         axes, origins = poses[:, :JOINTS, :3, 2], poses[:, :JOINTS, :3, 3]
         error[:, :3] = targets - tip
         # Half the sum of the cross products of the axes: the rotation vector, for small angles.
-        for axis in range(3):
-            turning = _cross(turn[:, :, axis], DOWN[:, axis])
-            error[:, 3:] = 0.5 * turning if axis == 0 else error[:, 3:] + 0.5 * turning
+        x, y, z = (_cross(turn[:, :, axis], DOWN[:, axis]) for axis in range(3))
+        error[:, 3:] = 0.5 * (x + y + z)
         jacobian[:, :3] = _cross(axes, tip[:, None] - origins).transpose(0, 2, 1)
         jacobian[:, 3:] = axes.transpose(0, 2, 1)
         transposed = jacobian.transpose(0, 2, 1)
         damped = jacobian @ transposed + DAMPING**2 * np.eye(6)
         inverse = transposed @ np.linalg.inv(damped)
         spare = identity - inverse @ jacobian
-        pull = PULL * (HOME - joints)
+        # With damping the pull is felt at the fingertip a little; the last iteration is for the
+        # fingertip alone, or the arm would creep under zero action.
+        pull = PULL * (HOME - joints) * (iteration + 1 < iterations)
         change = inverse @ error[:, :, None] + spare @ pull[:, :, None]
         joints = np.clip(joints + change[:, :, 0], LOWER, UPPER)
     return joints

@@ -11,6 +11,8 @@ of the fingertip into joint angles; the actuators' targets go there in the first
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -149,9 +151,10 @@ class DeskSimulator:
         # Time begins at 0 in every step, so that it is no part of the state.
         initial = np.concatenate([np.zeros((count, 1)), states], axis=1)
         data = self._data[: max(1, min(len(self._data), count))]
-        trajectory, _ = self._rollout.rollout(
-            self.model, data if len(self._data) > 1 else data[0], initial, controls
-        )
+        with _quiet():
+            trajectory, _ = self._rollout.rollout(
+                self.model, data if len(self._data) > 1 else data[0], initial, controls
+            )
         after: Floats = np.ascontiguousarray(trajectory[:, -1, 1:])
         # A rollout that raised a warning stops, and with it its clock.
         wrong = trajectory[:, -1, 0] < STEP_SECONDS - TIME_STEP / 2
@@ -160,6 +163,18 @@ class DeskSimulator:
         if wrong.any():
             raise DivergenceError(np.flatnonzero(wrong).tolist(), step)
         return after
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """No ``MUJOCO_LOG.TXT`` in the working folder: what goes wrong is an error of ours."""
+    before, quiet = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
+    quiet.logto_console = quiet.logto_file = False
+    quiet.set()
+    try:
+        yield
+    finally:
+        before.set()
 
 
 def checked_states(states: Floats) -> Floats:
