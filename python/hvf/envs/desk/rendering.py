@@ -56,7 +56,9 @@ class DeskRenderer:
         self._pixels = np.empty((size, size, 3), np.uint8)
         # Also at the interpreter's end, when OpenGL's Python side is still there.
         self._free = weakref.finalize(self, _free, self._context, self._drawing)
-        self._buttons = [self._model.geom(name).id for name in BUTTONS]
+        self._buttons = [
+            [self._model.geom(geom).id for geom in (name, f"{name}_plate")] for name in BUTTONS
+        ]
 
     def render(self, states: Floats) -> Images:
         """Images of ``states[B, 63]``: uint8 ``[B, S, S, 3]``.
@@ -83,8 +85,8 @@ class DeskRenderer:
         self._data.qpos[:] = state[:POSITIONS]
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        for geom, depth in zip(self._buttons, state[BUTTON_POSITIONS], strict=True):
-            self._model.geom_rgba[geom] = BUTTON_BRIGHT if depth > BUTTON_LIT else BUTTON_DARK
+        for geoms, depth in zip(self._buttons, state[BUTTON_POSITIONS], strict=True):
+            self._model.geom_rgba[geoms] = BUTTON_BRIGHT if depth > BUTTON_LIT else BUTTON_DARK
         mujoco.mjv_updateScene(
             self._model,
             self._data,

@@ -102,6 +102,10 @@ def load_scene(path: str | Path | None = None) -> mujoco.MjModel:
         found = [getattr(model, kind)(i).name for i in range(getattr(model, count))]
         if found != expected:
             raise ValueError(f"{path}: has the {kind}s {found}, expected {expected}")
+    geoms = {model.geom(i).name for i in range(model.ngeom)}
+    for name in (*BUTTONS, *(f"{button}_plate" for button in BUTTONS)):
+        if name not in geoms:
+            raise ValueError(f"{path}: has no geom {name!r}, which is lit when it is pressed")
     return model
 
 
@@ -242,6 +246,16 @@ def _buttons(spec: mujoco.MjSpec) -> None:
             limited=True,
             stiffness=[120.0, 0, 0],
             damping=[3.0, 0, 0],
+        )
+        # The plate around it is lit with the button; under the finger little else is seen.
+        spec.worldbody.add_geom(
+            name=f"{name}_plate",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[0.046, 0.002, 0],
+            pos=[x, y, 0.002],
+            rgba=BUTTON_DARK,
+            contype=0,
+            conaffinity=0,
         )
         # A low dome: a finger that comes from the side pushes it down instead of being stopped.
         button.add_geom(
