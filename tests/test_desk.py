@@ -651,3 +651,15 @@ def test_processes_render_and_roll_out_as_one_does(
         with pytest.raises(DivergenceError) as caught:
             pool.rollout(states, actions)
         assert caught.value.which == [4]
+
+
+def test_a_missing_mujoco_is_one_clear_line() -> None:
+    code = (
+        "import sys, importlib.util as util; found = util.find_spec;"
+        "util.find_spec = lambda name, *rest: None if name == 'mujoco' else found(name, *rest);"
+        "from hvf.cli import main; sys.exit(main(['collect', 'desk', '--out', 'x.h5']))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 1
+    assert "needs MuJoCo 4 and Python 3.11" in run.stderr
+    assert "Traceback" not in run.stderr

@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         tyro.cli(_load(name, words), prog=f"hvf {name}", args=words)
     except KeyboardInterrupt:
         return 130
-    except (ValueError, TypeError, OSError, RuntimeError) as error:
+    except (ValueError, TypeError, OSError, RuntimeError, ImportError) as error:
         message = f"[red]hvf {name}:[/red] {escape(str(error))}"
         console.print(message, highlight=False, soft_wrap=True)
         unusable = (ValueError, TypeError, FileNotFoundError, FileExistsError)

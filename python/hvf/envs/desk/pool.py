@@ -158,6 +158,8 @@ def _begin(image_size: int, scene: str | Path | None, stop: Any) -> None:
     global _worker
     # Ctrl-C reaches the whole group of processes; the one that asked for the work decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Mesa would draw with threads of its own in each process.
+    os.environ.setdefault("LP_NUM_THREADS", "0")
     _worker = Worker(image_size, scene, stop)
 
 

@@ -121,6 +121,7 @@ def _light(spec: mujoco.MjSpec) -> None:
     spec.visual.headlight.diffuse = [0.38] * 3
     spec.visual.headlight.specular = [0.0] * 3
     spec.visual.map.znear = 0.05
+    spec.visual.global_.fovy = 45
     spec.worldbody.add_light(
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
         pos=[0.2, -0.6, 2.0],
@@ -166,8 +167,8 @@ def _furniture(spec: mujoco.MjSpec) -> None:
 
 
 def _door(spec: mujoco.MjSpec) -> None:
-    # Half as wide as the hutch, it slides along y behind nothing: open or closed, the dark inside
-    # of the other half is seen.
+    # Half as wide as the hutch: whether it is open or closed, the dark inside of the other half is
+    # seen, which tells the two apart.
     door = spec.worldbody.add_body(name="door", pos=[HUTCH_X, HANDLE_CLOSED_Y, 0])
     door.add_joint(
         name="door",
