@@ -41,7 +41,7 @@ class DeskCollectConfig(CollectConfig):
     Attributes:
         part: episodes written at a time; a stop loses no more than these.
         action_repeat: steps for which each random action is held; 3 moves door and drawer in
-            more episodes than 1, and the cubes farther.
+            more episodes than 1.
         workers: processes; 0 for as many as there are cores. The result does not depend on it.
     """
 
