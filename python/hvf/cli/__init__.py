@@ -19,6 +19,10 @@ from rich.markup import escape
 # Name to (module:function, summary). Modules are imported when their command is run.
 COMMANDS: dict[str, tuple[str, str]] = {
     "collect maze": ("hvf.cli.collect:maze", "Collect episodes of the maze under random actions."),
+    "collect desk": (
+        "hvf.cli.collect_desk:desk",
+        "Collect episodes of the Franka desk under random actions.",
+    ),
     "train dynamics": ("hvf.cli.train:dynamics", "Train the compact dynamics model."),
     "train subgoals": ("hvf.cli.train:subgoals", "Train the paper's CVAE of subgoal images."),
     "train keypoint-generator": (
@@ -54,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         tyro.cli(_load(name, words), prog=f"hvf {name}", args=words)
     except KeyboardInterrupt:
         return 130
-    except (ValueError, TypeError, OSError, RuntimeError) as error:
+    except (ValueError, TypeError, OSError, RuntimeError, ImportError) as error:
         message = f"[red]hvf {name}:[/red] {escape(str(error))}"
         console.print(message, highlight=False, soft_wrap=True)
         unusable = (ValueError, TypeError, FileNotFoundError, FileExistsError)

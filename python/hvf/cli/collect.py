@@ -1,4 +1,4 @@
-"""``hvf collect``: data from random interaction."""
+"""``hvf collect maze``: data from random interaction."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -81,6 +81,7 @@ def collect(
     parameters: dict[str, Any],
     rollouts: Rollouts,
     console: Console | None = None,
+    versions: Mapping[str, str] | None = None,
 ) -> Path:
     """Collect ``config.episodes`` episodes of any environment; see :func:`collect_maze`.
 
@@ -90,13 +91,19 @@ def collect(
         parameters: what identifies its settings; JSON's types.
         rollouts: makes episodes.
         console: where progress goes.
+        versions: name to version of the programs that the environment itself needs.
 
     Returns:
         The file written.
     """
     console = console or Console()
     wanted = Metadata(
-        environment, parameters, config.seed, config.steps, config.episodes, program_versions()
+        environment,
+        parameters,
+        config.seed,
+        config.steps,
+        config.episodes,
+        {**program_versions(), **(versions or {})},
     )
     if config.out.exists() and not config.overwrite:
         if _same_collection(config.out, wanted):
@@ -121,6 +128,7 @@ def collect(
         disable=not console.is_terminal,
     ) as progress:
         task = progress.add_task("", total=config.episodes)
+        diverged = 0
         try:
             for path, first in parts:
                 count = min(config.part, config.episodes - first)
@@ -129,18 +137,21 @@ def collect(
                     with replacing(path) as temporary:
                         write_episodes(
                             temporary,
-                            dataclasses.replace(wanted, episodes=count),
+                            dataclasses.replace(wanted, episodes=count, diverged=made.diverged),
                             made,
                             os.cpu_count() or 1,
                         )
-                _check_part(path, wanted, count)
+                diverged += _check_part(path, wanted, count)
                 progress.advance(task, count)
             with replacing(config.out) as temporary:
-                join_files(temporary, wanted, [path for path, _ in parts])
+                total = dataclasses.replace(wanted, diverged=diverged)
+                join_files(temporary, total, [path for path, _ in parts])
         except KeyboardInterrupt:
             console.print(f"{config.out}: stopped; the same command goes on from there")
             raise
     shutil.rmtree(folder)
+    if diverged:
+        console.print(f"{config.out}: {diverged} simulations diverged, and were drawn anew")
     return config.out
 
 
@@ -166,13 +177,15 @@ def _same_collection(path: Path, wanted: Metadata) -> bool:
         return False
 
 
-def _check_part(path: Path, wanted: Metadata, count: int) -> None:
+def _check_part(path: Path, wanted: Metadata, count: int) -> int:
+    """Refuse a part of another collection; how many simulations diverged in this one."""
     with EpisodeFile(path) as file:
         if _source(file.metadata) != _source(wanted) or len(file) < count:
             raise ValueError(
                 f"{path}: is a part of another collection; remove {path.parent} or choose "
                 "another out"
             )
+        return file.metadata.diverged
 
 
 def _source(metadata: Metadata) -> tuple[Any, ...]:

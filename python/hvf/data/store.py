@@ -11,8 +11,9 @@ Shapes: ``N`` episodes of ``T`` steps, frames of ``H`` x ``W`` pixels, ``A`` act
 ====================  ========================  ==================================================
 
 Attributes of the file: ``format``, ``environment``, ``parameters`` (JSON), ``seed``, ``steps``,
-``episodes``, ``versions`` (JSON). Episodes repeat most of their pixels, which gzip's 32 KB window
-sees across frames of 12 KB: 100 steps of the maze take about 30 KB, and decode at 100,000 frames/s.
+``episodes``, ``versions`` (JSON), ``diverged``. Episodes repeat most of their pixels, which gzip's
+32 KB window sees across frames of 12 KB: 100 steps of the maze take about 30 KB, and decode at
+100,000 frames/s.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ class Metadata:
         steps: actions per episode, ``T``.
         episodes: number of episodes, ``N``.
         versions: name to version of the programs that made it.
+        diverged: simulations that diverged on the way; they are not among the episodes.
     """
 
     environment: str
@@ -57,11 +59,15 @@ class Metadata:
     steps: int
     episodes: int
     versions: Mapping[str, str]
+    diverged: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
 class Episodes:
     """Episodes in memory, in the shapes of the module's table.
+
+    Attributes:
+        diverged: simulations that diverged before these were complete.
 
     Raises:
         ValueError: shapes that do not belong together, no episode, or actions that are not finite.
@@ -71,6 +77,7 @@ class Episodes:
     frames: NDArray[np.uint8]
     actions: NDArray[np.float32]
     states: NDArray[np.float64]
+    diverged: int = 0
 
     def __post_init__(self) -> None:
         for name, dtype, ndim in (
@@ -252,6 +259,7 @@ class EpisodeFile:
                 steps=int(attributes["steps"]),
                 episodes=int(attributes["episodes"]),
                 versions=json.loads(attributes["versions"]),
+                diverged=int(attributes.get("diverged", 0)),
             )
             shapes = [self._file[name].shape for name in _DATASETS]
             dtypes = [self._file[name].dtype for name in _DATASETS]
@@ -288,6 +296,7 @@ def _create(path: Path, metadata: Metadata) -> Iterator[Any]:
             file.attrs["steps"] = metadata.steps
             file.attrs["episodes"] = metadata.episodes
             file.attrs["versions"] = json.dumps(dict(metadata.versions), sort_keys=True)
+            file.attrs["diverged"] = metadata.diverged
             yield file
     except RuntimeError as error:  # what h5py makes of a full disk when it closes the file
         raise OSError(errno.EIO, str(error)) from error

@@ -1,7 +1,8 @@
-"""Gymnasium environments: ``hvf/Maze-v0``, alone and as a native vector environment.
+"""Gymnasium environments: ``hvf/Maze-v0`` and ``hvf/FrankaDesk-v0``.
 
-Importing :mod:`hvf` registers them, so that ``gymnasium.make("hvf/Maze-v0")`` and
-``gymnasium.make_vec("hvf/Maze-v0", num_envs=8)`` find them.
+Importing :mod:`hvf` registers them, so that ``gymnasium.make("hvf/Maze-v0")``,
+``gymnasium.make_vec("hvf/Maze-v0", num_envs=8)`` (a native vector environment) and
+``gymnasium.make("hvf/FrankaDesk-v0", task="door")`` find them.
 """
 
 import gymnasium
@@ -9,6 +10,8 @@ import gymnasium
 MAZE_ID = "hvf/Maze-v0"
 MAZE_MAX_STEPS = 50
 """Steps of an episode, ``T`` of the paper's maze (section 6.1)."""
+
+DESK_ID = "hvf/FrankaDesk-v0"
 
 
 def register_envs() -> None:
@@ -21,6 +24,8 @@ def register_envs() -> None:
         vector_entry_point="hvf.envs.maze_vector:MazeVectorEnv",
         max_episode_steps=MAZE_MAX_STEPS,
     )
+    # Episodes end after the task's own number of steps, so the environment counts them itself.
+    gymnasium.register(id=DESK_ID, entry_point="hvf.envs.desk.env:DeskEnv")
 
 
-__all__ = ["MAZE_ID", "MAZE_MAX_STEPS", "register_envs"]
+__all__ = ["DESK_ID", "MAZE_ID", "MAZE_MAX_STEPS", "register_envs"]

@@ -1,0 +1,17 @@
+"""``hvf collect desk``: random interaction at the Franka desk. Needs MuJoCo."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import tyro
+
+from hvf.data.desk import DeskCollectConfig, collect_desk
+
+
+def desk(config: Annotated[DeskCollectConfig, tyro.conf.arg(name="")]) -> None:
+    """Collect episodes of the Franka desk under uniformly random actions into one HDF5 file.
+
+    Ctrl-C stops; the same command goes on from there.
+    """
+    collect_desk(config)

@@ -1,0 +1,211 @@
+"""The paper's four desk tasks (section 6.2): what is where at the start, and what should become.
+
+A task's episode is a function of (task, seed, number). Its stages are the states after each of
+its objects has been dealt with, blocks first and the door last; the last of them is the goal.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hvf.envs.desk import panda
+from hvf.envs.desk.arrangement import (
+    BLOCK_REACH,
+    START,
+    Arrangement,
+    over_drawer,
+    random_arrangement,
+    settled,
+)
+from hvf.envs.desk.scene import (
+    BASE,
+    BLOCK_SIZE,
+    BLOCKS,
+    HANDLE_CLOSED_Y,
+    HANDLE_RADIUS,
+    HANDLE_X,
+    TABLE_Y,
+)
+from hvf.envs.desk.simulator import DOOR, DeskSimulator, Floats, block_positions
+
+TaskName: TypeAlias = Literal["door", "two_block", "door_block", "door_two_block"]
+TASKS: tuple[TaskName, ...] = get_args(TaskName)
+
+MAX_STEPS: dict[TaskName, int] = {
+    "door": 50,
+    "two_block": 50,
+    "door_block": 100,
+    "door_two_block": 100,
+}
+"""Steps of an episode, ``T``, of the paper."""
+
+_OBJECTS: dict[TaskName, tuple[bool, int]] = {
+    "door": (True, 0),
+    "two_block": (False, 2),
+    "door_block": (True, 1),
+    "door_two_block": (True, 2),
+}
+
+DOOR_CLOSED = 0.02
+"""The door counts as closed below this opening, m."""
+OFF_TABLE = 0.02
+"""A cube is off the table below this height of its centre, m. One that came to lie on another on
+the floor is at 0.005 m."""
+DOOR_OPEN = (0.25, 0.40)
+"""Where the door of a door task starts, m."""
+
+# Where the finger ends: beside the closed handle, and at the table's edge after a push.
+_AT_HANDLE = (HANDLE_X, HANDLE_CLOSED_Y + HANDLE_RADIUS + panda.FINGER[1] + 0.004, 0.10)
+_AT_EDGE_Y = TABLE_Y - BLOCK_SIZE / 2
+_AT_EDGE_Z = 0.04
+# A cube that was pushed over the edge lies this far out, on the floor.
+_FALLEN_Y = TABLE_Y + 0.09
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """``B`` episodes of a task.
+
+    Attributes:
+        task: name of the task.
+        starts: states, float64 ``[B, 63]``.
+        stages: states after each object, float64 ``[B, J, 63]``; ``stages[:, -1]`` are the goals.
+        blocks: which cubes have to leave the table, bool ``[B, 3]``.
+    """
+
+    task: TaskName
+    starts: Floats
+    stages: Floats
+    blocks: NDArray[np.bool_]
+
+    @property
+    def goals(self) -> Floats:
+        """Goal states, ``[B, 63]``: the goal images show these."""
+        return self.stages[:, -1]
+
+    @property
+    def has_door(self) -> bool:
+        """Whether the door has to be closed."""
+        return _OBJECTS[self.task][0]
+
+
+def make_episodes(
+    simulator: DeskSimulator, task: TaskName, seed: int, first: int, count: int
+) -> Episodes:
+    """Episodes ``first`` to ``first + count`` of ``seed``.
+
+    Raises:
+        ValueError: an unknown task, or a negative seed, number or count.
+    """
+    check_task(task)
+    for name, value in (("seed", seed), ("first", first), ("count", count)):
+        if value < 0:
+            raise ValueError(f"{name}: must not be negative, got {value}")
+    starts, stages = [], []
+    blocks = np.zeros((count, len(BLOCKS)), np.bool_)
+    for i in range(count):
+        rng = np.random.default_rng([seed, first + i, TASKS.index(task)])
+        start, moved = _start(rng, task)
+        blocks[i, moved] = True
+        starts.append(start)
+        stages += _stages(start, task, moved)
+    states = settled(simulator, [*starts, *stages]) if count else np.empty((0, 63))
+    each = sum(_OBJECTS[task])
+    return Episodes(task, states[:count], states[count:].reshape(count, each, -1), blocks)
+
+
+def object_success(task: TaskName, blocks: NDArray[np.bool_], states: Floats) -> NDArray[np.bool_]:
+    """Whether door, red, green and blue are where the task wants them, bool ``[B, 4]``.
+
+    What the task does not ask for is True. The door is closed below 0.02 m of opening; a cube is
+    off the table when its centre is below 0.02 m (at rest on the table it is at 0.035 m).
+
+    Args:
+        task: name of the task.
+        blocks: which cubes have to leave the table, ``[B, 3]``.
+        states: ``[B, 63]``.
+    """
+    check_task(task)
+    done = np.ones((len(states), 1 + len(BLOCKS)), np.bool_)
+    if _OBJECTS[task][0]:
+        done[:, 0] = states[:, DOOR] < DOOR_CLOSED
+    done[:, 1:] = ~blocks | (block_positions(states)[:, :, 2] < OFF_TABLE)
+    return done
+
+
+def check_task(task: str) -> None:
+    """Refuse what is not one of ``TASKS``.
+
+    Raises:
+        ValueError: an unknown task.
+    """
+    if task not in TASKS:
+        raise ValueError(f"task: must be one of {TASKS}, got {task!r}")
+
+
+def _start(rng: np.random.Generator, task: TaskName) -> tuple[Arrangement, list[int]]:
+    """Where everything starts, and which cubes are to be moved, in order."""
+    has_door, count = _OBJECTS[task]
+    start = random_arrangement(rng, START)
+    if has_door:
+        start = dataclasses.replace(start, door=rng.uniform(*DOOR_OPEN))
+    moved = rng.permutation(len(BLOCKS))[:count].tolist()
+    # Outer ones first: an inner one would push them along.
+    return start, sorted(moved, key=lambda block: -abs(start.blocks[block, 1]))
+
+
+def _stages(start: Arrangement, task: TaskName, moved: list[int]) -> list[Arrangement]:
+    """The arrangement after each object: cubes over a side of the table, then the door.
+
+    The arm is where it would be after moving the object.
+    """
+    stages, now = [], start
+    for block in moved:
+        blocks = now.blocks.copy()
+        x = blocks[block, 0]
+        side = _side(now, block)
+        blocks[block] = (x, side * _fallen(now, x, side), BASE[2] + BLOCK_SIZE / 2)
+        tip = (float(x), side * _AT_EDGE_Y, _AT_EDGE_Z)
+        yaws = now.yaws.copy()
+        yaws[block] = 0.0
+        now = dataclasses.replace(now, blocks=blocks, yaws=yaws, end_effector=tip)
+        stages.append(now)
+    if _OBJECTS[task][0]:
+        now = dataclasses.replace(now, door=0.0, end_effector=_AT_HANDLE)
+        stages.append(now)
+    return stages
+
+
+def _side(now: Arrangement, block: int) -> float:
+    """The side of the table that a cube is pushed over: the nearer one, unless the way is not free.
+
+    Returns:
+        1 for the left, -1 for the right.
+    """
+    x, y, _ = now.blocks[block]
+    nearer = 1.0 if y >= 0 else -1.0
+
+    def free(side: float) -> bool:
+        others = [other for i, other in enumerate(now.blocks) if i != block and other[2] > 0]
+        cubes = any(
+            side * (other[1] - y) > 0 and abs(other[0] - x) < 2 * BLOCK_REACH for other in others
+        )
+        edge = np.linspace(y, side * TABLE_Y, 20)
+        return not cubes and not any(over_drawer(x, at, now.drawer, BLOCK_REACH) for at in edge)
+
+    return -nearer if free(-nearer) and not free(nearer) else nearer
+
+
+def _fallen(now: Arrangement, x: float, side: float) -> float:
+    """How far out a cube lies on the floor: beyond one that is there already."""
+    away = _FALLEN_Y
+    lying = now.blocks[now.blocks[:, 2] < 0]
+    for other_x, other_y, _ in lying:
+        if side * other_y > 0 and abs(other_x - x) < 1.5 * BLOCK_SIZE:
+            away = max(away, abs(other_y) + 1.2 * BLOCK_SIZE)
+    return away

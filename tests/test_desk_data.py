@@ -1,0 +1,147 @@
+"""Random interaction at the Franka desk: what is collected, on how many cores, and resumed."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="MuJoCo 4 needs Python 3.11")
+
+from rich.console import Console
+
+from hvf.data.desk import DeskCollectConfig, collect_desk, random_episodes
+from hvf.data.store import EpisodeFile
+from hvf.envs.desk.arrangement import random_arrangement, settled
+from hvf.envs.desk.pool import Worker
+from hvf.envs.desk.rendering import DeskRenderer
+from hvf.envs.desk.simulator import OBSERVABLES, DeskSimulator, Floats, observables
+
+STEPS = 7
+
+
+class Never:
+    """The word to stop that is never given."""
+
+    def is_set(self) -> bool:
+        return False
+
+
+@pytest.fixture(scope="module")
+def worker() -> Any:
+    return Worker(16, None, Never())
+
+
+def collected(path: Path, episodes: int = 5, **options: Any) -> Path:
+    config = DeskCollectConfig(path, episodes, STEPS, seed=3, image_size=16, **options)
+    return collect_desk(config, Console(quiet=True))
+
+
+def test_processes_and_parts_do_not_show(tmp_path: Path, worker: Worker) -> None:
+    one = collected(tmp_path / "one.h5", workers=1, part=5)
+    two = collected(tmp_path / "two.h5", workers=2, part=3)
+    assert one.read_bytes() == two.read_bytes()
+    episodes, diverged = random_episodes(worker, 3, range(5), STEPS, 1)
+    with EpisodeFile(one, "desk") as file:
+        found = file.read(0, 5)
+        assert file.metadata.parameters["action_repeat"] == 1
+        assert file.metadata.parameters["states"] == list(OBSERVABLES)
+        assert "mujoco" in file.metadata.versions
+        assert file.metadata.diverged == 0
+    for name in ("frames", "actions", "states"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(episodes, name))
+    assert diverged == []
+
+
+def test_episodes_are_what_the_simulator_and_the_camera_give(worker: Worker) -> None:
+    """Stepped one by one, from the start that (seed, number) gives."""
+    episodes, _ = random_episodes(worker, 8, [2, 5], STEPS, 3)
+    simulator, renderer = DeskSimulator(), DeskRenderer(worker.simulator.model, 16)
+    for place, number in enumerate((2, 5)):
+        rng = np.random.default_rng([8, number, 0])
+        state = settled(simulator, [random_arrangement(rng, None)])
+        for step in range(STEPS + 1):
+            np.testing.assert_array_equal(episodes.states[place, step], observables(state)[0])
+            np.testing.assert_array_equal(episodes.frames[place, step], renderer.render(state)[0])
+            if step < STEPS:
+                state = simulator.step(state, episodes.actions[place, step : step + 1])
+    # Each random action is held for three steps.
+    held = episodes.actions
+    np.testing.assert_array_equal(held[:, 0:6:3], held[:, 2:6:3])
+    assert (held[:, 2] != held[:, 3]).all()
+    assert (np.abs(held) <= 1).all()
+    renderer.close()
+
+
+def test_actions_are_uniform_and_things_move() -> None:
+    episodes, _ = random_episodes(Worker(8, None, Never()), 0, range(20), 100, 3)
+    drawn = episodes.actions[:, ::3].ravel()
+    # The variance of a uniform draw is 1/3; of 2040 draws the mean is within five deviations.
+    assert abs(drawn.mean()) < 5 * np.sqrt(1 / 3 / drawn.size)
+    assert abs(np.abs(drawn).mean() - 0.5) < 5 * np.sqrt(1 / 12 / drawn.size)
+    moved = np.ptp(episodes.states, axis=1) > 0.01
+    assert moved[:, OBSERVABLES.index("door")].mean() > 0.3
+    assert moved[:, 8:].any(axis=1).mean() > 0.7
+
+
+class Fragile(DeskSimulator):
+    """Gives a cube an absurd spin, once in the third step for each of some desks."""
+
+    def __init__(self, desks: list[int]) -> None:
+        super().__init__()
+        self.desks = desks
+        self.steps = 0
+
+    def step(self, states: Floats, actions: Any) -> Floats:
+        self.steps += 1
+        if self.steps == 3:
+            states = states.copy()
+            states[self.desks, 60] = 1e9
+        return super().step(states, actions)
+
+
+def test_a_simulation_that_diverges_is_drawn_anew_and_counted(worker: Worker) -> None:
+    fragile = Worker(16, None, Never())
+    fragile.simulator = Fragile([1])
+    episodes, lines = random_episodes(fragile, 3, range(4), STEPS, 1)
+    assert lines == ["seed 3, episode 1: the simulation diverged in step 2"]
+    expected, _ = random_episodes(worker, 3, range(4), STEPS, 1)
+    same = (episodes.frames == expected.frames).all(axis=(1, 2, 3, 4))
+    assert same.tolist() == [True, False, True, True]
+    # The second try of an episode is a function of (seed, number) too.
+    rng = np.random.default_rng([3, 1, 1])
+    start = settled(worker.simulator, [random_arrangement(rng, None)])
+    np.testing.assert_array_equal(episodes.states[1, 0], observables(start)[0])
+    assert np.isfinite(episodes.states).all()
+
+
+def test_ctrl_c_stops_all_processes_and_the_same_command_goes_on(tmp_path: Path) -> None:
+    out = tmp_path / "desk.h5"
+    command = "import sys; from hvf.cli import main; sys.exit(main())"
+    words = ["collect", "desk", "--out", str(out), "--episodes", "12", "--steps", str(STEPS)]
+    words += ["--seed", "3", "--image-size", "16", "--workers", "2", "--part", "1"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", command, *words], stderr=subprocess.PIPE, text=True
+    )
+    parts = tmp_path / "desk.h5.parts"
+    while process.poll() is None and len(list(parts.glob("0*.h5"))) < 2:
+        time.sleep(0.002)
+    process.send_signal(signal.SIGINT)
+    # The pipe closes when the last process that holds it has ended.
+    _, errors = process.communicate()
+    assert process.returncode in (130, 0)
+    assert "Traceback" not in errors
+    collected(out, 12, workers=2, part=1)
+    assert out.read_bytes() == collected(tmp_path / "other.h5", 12, workers=1).read_bytes()
+
+
+@pytest.mark.parametrize("field", ["action_repeat", "workers", "episodes", "part"])
+def test_the_config_names_a_bad_number(field: str) -> None:
+    with pytest.raises(ValueError, match=field):
+        DeskCollectConfig(Path("x.h5"), **{field: -1})
