@@ -9,7 +9,7 @@
 //! and without fused multiply-add: the result has the same bits on every machine and for every
 //! batch size.
 
-use ndarray::{Array2, ArrayView1, ArrayView2};
+use ndarray::{ArrayView1, ArrayView2};
 
 use super::field::SceneField;
 use crate::{Error, Result};
@@ -62,16 +62,15 @@ pub struct Cell {
     memory: usize,
     spacing: usize,
     substeps: usize,
-    /// `[taps * taps, hidden]`.
-    patch: Array2<f32>,
+    /// `[taps * taps][hidden]`.
+    patch: Vec<f32>,
     patch_bias: Vec<f32>,
-    /// Per hidden unit: A action weights already divided by the scale, then C memory weights.
-    context: Vec<f32>,
-    /// `[hidden / OUTPUTS][hidden][OUTPUTS]`.
-    middle: Vec<[f32; OUTPUTS]>,
+    /// A actions (weights already divided by the scale), then C numbers of memory.
+    context: Packed,
+    middle: Packed,
     middle_bias: Vec<f32>,
-    /// `[2 + C][hidden]`.
-    output: Vec<f32>,
+    /// Motion, memory, and zeros up to a multiple of [`OUTPUTS`].
+    output: Packed,
     output_bias: Vec<f32>,
     /// `[2][A]`, already divided by the scale.
     free: Vec<f32>,
@@ -80,10 +79,56 @@ pub struct Cell {
 /// Room for one block.
 #[derive(Clone, Debug)]
 pub struct Scratch {
-    hidden: Vec<Lanes>,
     row: Vec<f32>,
-    memory: Vec<Lanes>,
+    /// Actions, then memory.
+    context: Vec<Lanes>,
+    first: Vec<Lanes>,
+    second: Vec<Lanes>,
     moved: Vec<Lanes>,
+}
+
+/// Weights of a layer, [`OUTPUTS`] outputs together: `[outputs / OUTPUTS][inputs][OUTPUTS]`.
+#[derive(Clone, Debug)]
+struct Packed(Vec<[f32; OUTPUTS]>);
+
+impl Packed {
+    /// Packs `weights[outputs, inputs]`, with rows of zeros up to a multiple of [`OUTPUTS`].
+    fn new(weights: ArrayView2<'_, f32>, scale: impl Fn(usize) -> f32) -> Self {
+        let (outputs, inputs) = weights.dim();
+        let at = |row: usize, column: usize| {
+            weights.get((row, column)).map_or(0.0, |weight| weight * scale(column))
+        };
+        Self(
+            (0..outputs.div_ceil(OUTPUTS))
+                .flat_map(|block| (0..inputs).map(move |column| (block * OUTPUTS, column)))
+                .map(|(first, column)| std::array::from_fn(|q| at(first + q, column)))
+                .collect(),
+        )
+    }
+
+    /// Adds weights times `inputs` to `out`.
+    #[inline(always)]
+    fn accumulate(&self, inputs: &[Lanes], out: &mut [Lanes]) {
+        for (out, weights) in out.chunks_exact_mut(OUTPUTS).zip(self.0.chunks_exact(inputs.len())) {
+            let mut sums: [Lanes; OUTPUTS] = std::array::from_fn(|q| out[q]);
+            for (input, weight) in inputs.iter().zip(weights) {
+                for q in 0..OUTPUTS {
+                    for lane in 0..LANES {
+                        sums[q][lane] += weight[q] * input[lane];
+                    }
+                }
+            }
+            out.copy_from_slice(&sums);
+        }
+    }
+}
+
+/// Negative values to zero.
+#[inline(always)]
+fn rectify(units: &mut [Lanes]) {
+    for value in units.as_flattened_mut() {
+        *value = value.max(0.0);
+    }
 }
 
 fn expect(argument: &'static str, expected: &[usize], found: &[usize]) -> Result<()> {
@@ -163,39 +208,32 @@ impl Cell {
     pub fn new(weights: CellWeights<'_>) -> Result<Self> {
         let (action_dim, memory) = weights.validate()?;
         let hidden = weights.patch.nrows();
-        let scaled = |(column, &weight): (usize, &f32)| {
-            if column < action_dim {
-                weight / weights.action_scale
-            } else {
-                weight
-            }
-        };
-        let rows = |matrix: ArrayView2<'_, f32>| -> Vec<f32> {
-            matrix.rows().into_iter().flat_map(|row| row.to_vec()).collect()
-        };
-        let middle = (0..hidden / OUTPUTS)
-            .flat_map(|block| (0..hidden).map(move |i| (block * OUTPUTS, i)))
-            .map(|(first, i)| std::array::from_fn(|q| weights.middle[[first + q, i]]))
-            .collect();
+        let scale = 1.0 / weights.action_scale;
+        let mut output_bias = weights.output_bias.to_vec();
+        output_bias.resize((2 + memory).next_multiple_of(OUTPUTS), 0.0);
         Ok(Self {
             hidden,
             action_dim,
             memory,
             spacing: weights.spacing,
             substeps: weights.substeps,
-            patch: weights.patch.t().as_standard_layout().into_owned(),
+            patch: weights.patch.t().iter().copied().collect(),
             patch_bias: weights.patch_bias.to_vec(),
-            context: weights
-                .context
-                .rows()
-                .into_iter()
-                .flat_map(|row| row.iter().enumerate().map(scaled).collect::<Vec<_>>())
-                .collect(),
-            middle,
+            context: Packed::new(
+                weights.context,
+                |column| {
+                    if column < action_dim {
+                        scale
+                    } else {
+                        1.0
+                    }
+                },
+            ),
+            middle: Packed::new(weights.middle, |_| 1.0),
             middle_bias: weights.middle_bias.to_vec(),
-            output: rows(weights.output),
-            output_bias: weights.output_bias.to_vec(),
-            free: weights.free.iter().map(|weight| weight / weights.action_scale).collect(),
+            output: Packed::new(weights.output, |_| 1.0),
+            output_bias,
+            free: weights.free.iter().map(|weight| weight * scale).collect(),
         })
     }
 
@@ -206,16 +244,17 @@ impl Cell {
 
     /// What the cell sees in a scene; `map` is `[S, S]`, row by row.
     pub fn field(&self, map: &[f32], size: usize) -> SceneField {
-        SceneField::new(map, size, self.patch.view(), &self.patch_bias, self.spacing)
+        SceneField::new(map, size, &self.patch, &self.patch_bias, self.spacing)
     }
 
     /// Room for one block.
     pub fn scratch(&self) -> Scratch {
         Scratch {
-            hidden: vec![[0.0; LANES]; self.hidden],
             row: vec![0.0; self.hidden],
-            memory: vec![[0.0; LANES]; self.memory],
-            moved: vec![[0.0; LANES]; 2 + self.memory],
+            context: vec![[0.0; LANES]; self.action_dim + self.memory],
+            first: vec![[0.0; LANES]; self.hidden],
+            second: vec![[0.0; LANES]; self.hidden],
+            moved: vec![[0.0; LANES]; self.output_bias.len()],
         }
     }
 
@@ -230,77 +269,41 @@ impl Cell {
         action: &[Lanes],
         scratch: &mut Scratch,
     ) {
-        for lanes in &mut scratch.memory {
-            *lanes = [0.0; LANES];
-        }
+        let (actions, memory) = scratch.context.split_at_mut(self.action_dim);
+        actions.copy_from_slice(action);
+        memory.fill([0.0; LANES]);
         for _ in 0..self.substeps {
-            substep(self, field, keypoint, action, scratch);
+            substep(self, field, keypoint, scratch);
         }
     }
 }
 
 #[multiversion::multiversion(targets("x86_64+avx2"))]
-fn substep(
-    cell: &Cell,
-    field: &SceneField,
-    keypoint: &mut [Lanes; 2],
-    action: &[Lanes],
-    scratch: &mut Scratch,
-) {
-    let Scratch { hidden, row, memory, moved } = scratch;
+fn substep(cell: &Cell, field: &SceneField, keypoint: &mut [Lanes; 2], scratch: &mut Scratch) {
+    let Scratch { row, context, first, second, moved } = scratch;
     for lane in 0..LANES {
         field.sample([keypoint[0][lane], keypoint[1][lane]], row);
-        for (unit, &feature) in hidden.iter_mut().zip(row.iter()) {
+        for (unit, &feature) in first.iter_mut().zip(row.iter()) {
             unit[lane] = feature;
         }
     }
-    for (unit, weights) in
-        hidden.iter_mut().zip(cell.context.chunks_exact(cell.action_dim + cell.memory))
-    {
-        let mut sum = *unit;
-        for (input, &weight) in action.iter().chain(memory.iter()).zip(weights) {
-            for lane in 0..LANES {
-                sum[lane] += weight * input[lane];
-            }
-        }
-        for lane in 0..LANES {
-            unit[lane] = sum[lane].max(0.0);
-        }
+    cell.context.accumulate(context, first);
+    rectify(first);
+    for (unit, &bias) in second.iter_mut().zip(&cell.middle_bias) {
+        *unit = [bias; LANES];
     }
-
+    cell.middle.accumulate(first, second);
+    rectify(second);
     for (out, &bias) in moved.iter_mut().zip(&cell.output_bias) {
         *out = [bias; LANES];
     }
-    for (block, weights) in cell.middle.chunks_exact(cell.hidden).enumerate() {
-        let first = block * OUTPUTS;
-        let mut sums: [Lanes; OUTPUTS] =
-            std::array::from_fn(|q| [cell.middle_bias[first + q]; LANES]);
-        for (unit, weight) in hidden.iter().zip(weights) {
-            for q in 0..OUTPUTS {
-                for lane in 0..LANES {
-                    sums[q][lane] += weight[q] * unit[lane];
-                }
-            }
-        }
-        for sum in &mut sums {
-            for value in sum.iter_mut() {
-                *value = value.max(0.0);
-            }
-        }
-        for (out, weights) in moved.iter_mut().zip(cell.output.chunks_exact(cell.hidden)) {
-            let mut total = *out;
-            for (q, sum) in sums.iter().enumerate() {
-                for lane in 0..LANES {
-                    total[lane] += weights[first + q] * sum[lane];
-                }
-            }
-            *out = total;
-        }
-    }
+    cell.output.accumulate(second, moved);
+
+    let (actions, memory) = context.split_at_mut(cell.action_dim);
     for (axis, position) in keypoint.iter_mut().enumerate() {
         let mut motion = moved[axis];
         let free = &cell.free[axis * cell.action_dim..][..cell.action_dim];
-        for (input, &weight) in action.iter().zip(free) {
+        for (input, &weight) in actions.iter().zip(free) {
             for lane in 0..LANES {
                 motion[lane] += weight * input[lane];
             }

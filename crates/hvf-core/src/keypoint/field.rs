@@ -6,8 +6,6 @@
 //! candidate therefore pays four multiply-adds per hidden unit instead of one per pixel of the
 //! patch.
 
-use ndarray::ArrayView2;
-
 /// First-layer features of a scene at every whole pixel, `[S, S, hidden]`.
 #[derive(Clone, Debug)]
 pub struct SceneField {
@@ -18,42 +16,20 @@ pub struct SceneField {
 
 impl SceneField {
     /// Convolves a scene `map[S, S]` (`map` holds its rows one after the other) with the first
-    /// layer: `patch[taps * taps]` of `hidden` weights each, `bias[hidden]`, taps `spacing` pixels
-    /// apart. Outside the scene its border goes on.
+    /// layer: `patch[taps * taps][hidden]`, `bias[hidden]`, taps `spacing` pixels apart. Outside
+    /// the scene its border goes on.
     ///
     /// `S^2 * taps^2 * hidden` multiply-adds.
     pub(super) fn new(
         map: &[f32],
         size: usize,
-        patch: ArrayView2<'_, f32>,
+        patch: &[f32],
         bias: &[f32],
         spacing: usize,
     ) -> Self {
         let hidden = bias.len();
-        let taps = patch.nrows().isqrt();
-        let reach = (taps / 2 * spacing) as isize;
-        let last = size as isize - 1;
-        let at = |position: usize, tap: usize| -> usize {
-            (position as isize + (tap * spacing) as isize - reach).clamp(0, last) as usize
-        };
-        let mut features = Vec::with_capacity(size * size * hidden);
-        for row in 0..size {
-            for column in 0..size {
-                let begin = features.len();
-                features.extend_from_slice(bias);
-                let here = &mut features[begin..];
-                for tap_row in 0..taps {
-                    let line = &map[at(row, tap_row) * size..][..size];
-                    for tap_column in 0..taps {
-                        let value = line[at(column, tap_column)];
-                        let weights = patch.row(tap_row * taps + tap_column);
-                        for (sum, &weight) in here.iter_mut().zip(weights) {
-                            *sum += weight * value;
-                        }
-                    }
-                }
-            }
-        }
+        let mut features = vec![0.0; size * size * hidden];
+        convolve(map, size, patch, bias, spacing, &mut features);
         Self { size, hidden, features }
     }
 
@@ -78,6 +54,38 @@ impl SceneField {
         ];
         for ((((sum, a), b), c), d) in out.iter_mut().zip(a).zip(b).zip(c).zip(d) {
             *sum = weights[0] * a + weights[1] * b + weights[2] * c + weights[3] * d;
+        }
+    }
+}
+
+#[multiversion::multiversion(targets("x86_64+avx2"))]
+fn convolve(
+    map: &[f32],
+    size: usize,
+    patch: &[f32],
+    bias: &[f32],
+    spacing: usize,
+    features: &mut [f32],
+) {
+    let hidden = bias.len();
+    let taps = (patch.len() / hidden).isqrt();
+    let reach = (taps / 2 * spacing) as isize;
+    let last = size as isize - 1;
+    let at = |position: usize, tap: usize| -> usize {
+        (position as isize + (tap * spacing) as isize - reach).clamp(0, last) as usize
+    };
+    for (pixel, here) in features.chunks_exact_mut(hidden).enumerate() {
+        let (row, column) = (pixel / size, pixel % size);
+        here.copy_from_slice(bias);
+        for tap_row in 0..taps {
+            let line = &map[at(row, tap_row) * size..][..size];
+            for tap_column in 0..taps {
+                let value = line[at(column, tap_column)];
+                let weights = &patch[(tap_row * taps + tap_column) * hidden..][..hidden];
+                for (sum, &weight) in here.iter_mut().zip(weights) {
+                    *sum += weight * value;
+                }
+            }
         }
     }
 }

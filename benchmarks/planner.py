@@ -1,0 +1,81 @@
+"""Planning in the maze with learned models and with the true simulator: one step, one search.
+
+The paper's full budget (K = 2, M = D = 200, 5 x 5 iterations, H = 5) and how the time of a search
+with learned models grows with M, D, K and H. Medians.
+
+    python benchmarks/planner.py
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+import hvf_core
+from hvf.worlds import MazeWorldConfig, load_maze
+
+ROUNDS = 3
+STEPS = 15
+
+
+def seconds(work: Callable[[int], object], rounds: int) -> float:
+    """Median over ``rounds`` calls, each with its number, after one more to warm up."""
+    work(rounds)
+    times = []
+    for number in range(rounds):
+        begin = time.perf_counter()
+        work(number)
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def main() -> None:
+    states, targets = hvf_core.maze_episodes(0, 0, STEPS + 1, "hard")
+    starts = hvf_core.maze_render(states)
+    goals = hvf_core.maze_render(np.hstack([targets, states[:, 2:]]))
+    found: dict[str, float] = {}
+    for model in ("learned", "simulator"):
+        world, generator = load_maze(MazeWorldConfig(model, blur=3.0, over_horizon="min"))
+
+        def step(i: int, horizon: int = 5, world: object = world) -> None:
+            mpc = hvf_core.VisualMPC(horizon=horizon)
+            mpc.plan(world, starts[i % len(starts)], goals[i % len(goals)], seed=i)
+
+        def search(
+            i: int,
+            samples: int = 200,
+            candidates: int = 200,
+            subgoals: int = 2,
+            horizon: int = 5,
+            world: object = world,
+            generator: object = generator,
+        ) -> None:
+            mpc = hvf_core.VisualMPC(horizon=horizon, samples=candidates, elites=candidates // 5)
+            hvf = hvf_core.HVF(mpc=mpc, subgoals=subgoals, samples=samples, elites=samples // 5)
+            hvf.search(world, generator, starts[i], goals[i], seed=i)
+
+        found[f"{model}: MPC step"] = seconds(step, STEPS)
+        found[f"{model}: search"] = seconds(search, ROUNDS)
+        if model == "learned":
+            for name, values in (
+                ("samples", (100, 400)),
+                ("candidates", (100, 400)),
+                ("subgoals", (1, 3)),
+                ("horizon", (3, 10)),
+            ):
+                for value in values:
+                    found[f"{model}: search, {name} {value}"] = seconds(
+                        lambda i, name=name, value=value: search(i, **{name: value}), 1
+                    )
+    for name, median in found.items():
+        print(f"{name:32} {1e3 * median:10.1f} ms")
+    print(json.dumps({"threads": os.cpu_count(), "seconds": found}))
+
+
+if __name__ == "__main__":
+    main()
