@@ -53,12 +53,13 @@ impl SceneField {
             down * right,
         ];
         for ((((sum, a), b), c), d) in out.iter_mut().zip(a).zip(b).zip(c).zip(d) {
-            *sum = weights[0] * a + weights[1] * b + weights[2] * c + weights[3] * d;
+            let upper = weights[1].mul_add(*b, weights[0] * a);
+            *sum = weights[3].mul_add(*d, weights[2].mul_add(*c, upper));
         }
     }
 }
 
-#[multiversion::multiversion(targets("x86_64+avx2"))]
+#[multiversion::multiversion(targets("x86_64+avx2+fma"))]
 fn convolve(
     map: &[f32],
     size: usize,
@@ -83,7 +84,7 @@ fn convolve(
                 let value = line[at(column, tap_column)];
                 let weights = &patch[(tap_row * taps + tap_column) * hidden..][..hidden];
                 for (sum, &weight) in here.iter_mut().zip(weights) {
-                    *sum += weight * value;
+                    *sum = weight.mul_add(value, *sum);
                 }
             }
         }
