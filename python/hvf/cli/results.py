@@ -10,7 +10,8 @@ from typing import Annotated, Any, NamedTuple, get_args
 import tyro
 
 from hvf.evaluation.evaluate import Report, load
-from hvf.evaluation.maze import TEST_SEED, AgentName, Difficulty, MazePlanning, Preset
+from hvf.evaluation.maze import Difficulty, MazePlanning, Preset
+from hvf.evaluation.task import TEST_SEED, AgentName, agent_name
 
 DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
 
@@ -34,12 +35,7 @@ class Row(NamedTuple):
     @property
     def agent_name(self) -> str:
         """As the table has it."""
-        return {
-            "none": "no subgoals",
-            "hvf": f"HVF-{self.subgoals}",
-            "ground-truth": f"ground truth-{self.subgoals}",
-            "random": "random",
-        }[self.agent]
+        return agent_name(self.agent, self.subgoals)
 
 
 @dataclasses.dataclass(frozen=True)

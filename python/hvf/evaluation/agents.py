@@ -5,6 +5,7 @@ All but the random one plan with the same visual MPC; they differ in where subgo
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, Protocol, cast
 
@@ -71,14 +72,26 @@ class TrueSubgoals:
         return list(cast(TrialsWithTruth, trials).true_subgoals(self.count))
 
 
+class TrialsWithFrames(Trials, Protocol):
+    """Trials that can say more than what is seen."""
+
+    def frames(self, which: Indices) -> Frames:
+        """Return frames of the true simulator where the trials ``which`` are, ``[N]``."""
+        ...
+
+
 class PlanningAgent:
-    """Plans every step anew with visual MPC, towards subgoals of one source.
+    """Plans with visual MPC, towards subgoals of one source.
 
     Args:
         world: what it plans with.
         mpc: how it plans.
         source: where its subgoals come from.
         warm_start: begin each search of actions around the rest of the last plan.
+        steps_per_plan: steps of a plan that are acted before the next one is made, up to the
+            horizon; 1 to plan at every step. A new target always gets a new plan.
+        told: plans start from frames of the trials (:class:`TrialsWithFrames`) and not from what
+            is observed: for a simulator whose state cannot be read off an image.
     """
 
     def __init__(
@@ -87,29 +100,87 @@ class PlanningAgent:
         mpc: VisualMPC,
         source: SubgoalSource,
         warm_start: bool = False,
+        steps_per_plan: int = 1,
+        told: bool = False,
     ) -> None:
+        if not 1 <= steps_per_plan <= mpc.horizon:
+            raise ValueError(
+                f"steps_per_plan: must be from 1 to the horizon {mpc.horizon}, got {steps_per_plan}"
+            )
         self.world = world
         self.mpc = mpc
         self.source = source
         self.warm_start = warm_start
-        self._last_plans: dict[int, NDArray[np.float32]] = {}
+        self.steps_per_plan = steps_per_plan
+        self.told = told
+        self._trials: TrialsWithFrames | None = None
+        self._last_plans: dict[int, _Current] = {}
 
     def subgoals(self, trials: Trials, seeds: Sequence[int]) -> list[Images]:
         """Return the subgoals of every trial, and forget the last ones' plans."""
         self._last_plans.clear()
+        self._trials = cast(TrialsWithFrames, trials) if self.told else None
         return self.source(trials, seeds)
 
     def act(
         self, which: Indices, observations: Images, targets: Images, seeds: Sequence[int]
     ) -> Decision:
-        """Return the first actions of the best plans."""
+        """Return the next actions of the best plans."""
+        due = [
+            n
+            for n, (trial, target) in enumerate(zip(which, targets, strict=True))
+            if self._is_due(int(trial), target)
+        ]
+        if due:
+            self._plan(which[due], observations[due], targets[due], [seeds[n] for n in due])
+        current = [self._last_plans[int(trial)] for trial in which]
+        actions = np.stack([plan.next_action() for plan in current])
+        return Decision(actions, np.array([plan.cost for plan in current], np.float32))
+
+    def _is_due(self, trial: int, target: Images) -> bool:
+        """Whether a trial needs a new plan."""
+        plan = self._last_plans.get(trial)
+        if plan is None or plan.acted >= self.steps_per_plan:
+            return True
+        return not np.array_equal(plan.target, target)
+
+    def _plan(
+        self, which: Indices, observations: Images, targets: Images, seeds: Sequence[int]
+    ) -> None:
         last = None
         if self.warm_start and all(int(trial) in self._last_plans for trial in which):
-            last = np.stack([self._last_plans[int(trial)] for trial in which])
-        plans = self.mpc.plan_batch(self.world, observations, targets, seeds=seeds, warm_start=last)
-        actions = plans.actions
-        self._last_plans.update(zip(map(int, which), actions, strict=True))
-        return Decision(np.ascontiguousarray(actions[:, 0]), plans.costs)
+            last = np.stack([self._last_plans[int(trial)].before_last_action() for trial in which])
+        starts = observations if self._trials is None else self._trials.frames(which)
+        plans = self.mpc.plan_batch(self.world, starts, targets, seeds=seeds, warm_start=last)
+        for n, trial in enumerate(which):
+            self._last_plans[int(trial)] = _Current(
+                plans.actions[n], float(plans.costs[n]), targets[n]
+            )
+
+
+@dataclasses.dataclass
+class _Current:
+    """A plan that is being acted."""
+
+    actions: NDArray[np.float32]
+    cost: float
+    target: Images
+    acted: int = 0
+
+    def next_action(self) -> NDArray[np.float32]:
+        self.acted += 1
+        action: NDArray[np.float32] = self.actions[self.acted - 1]
+        return action
+
+    def before_last_action(self) -> NDArray[np.float32]:
+        """The plan as the search wants it for a warm start: it begins with the last action acted.
+
+        Its last action is repeated where the plan has come to its end.
+        """
+        first = max(self.acted - 1, 0)
+        steps = np.minimum(np.arange(len(self.actions)) + first, len(self.actions) - 1)
+        rest: NDArray[np.float32] = self.actions[steps]
+        return rest
 
 
 class RandomAgent:
