@@ -15,6 +15,7 @@ from hvf.envs.desk.rendering import project
 from hvf.envs.desk.simulator import DeskSimulator, DivergenceError, Floats, end_effectors
 from hvf.envs.desk.tasks import MAX_STEPS, TaskName, check_task, make_episodes, object_success
 from hvf.evaluation.acting import Acting, Images, Indices
+from hvf.evaluation.agents import Replanning
 from hvf.evaluation.planning import Planning
 from hvf.evaluation.task import EpisodeTask, Evaluation
 from hvf.worlds import WEIGHTS
@@ -34,6 +35,8 @@ class DeskPlanning(Planning):
         horizon: model steps that a plan looks ahead (H).
         action_repeat: steps that one planned action is held for; the paper plans 5 actions.
         replan_every: steps of a plan that are acted before the next one is made.
+        keep_better: go on with the rest of a plan as long as no new one has a lower predicted
+            cost: for budgets so small that a good plan may not be found again.
         steps_per_subgoal: most steps towards one subgoal (T*).
         steps: steps of a trial (T); None for the task's own limit, 50 or 100.
     """
@@ -42,23 +45,19 @@ class DeskPlanning(Planning):
     horizon: int = 15
     action_repeat: int = 3
     replan_every: int = 1
+    keep_better: bool = False
     steps_per_subgoal: int = 20
     steps: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 1 <= self.replan_every <= self.horizon:
-            raise ValueError(
-                f"replan_every: must be from 1 to the horizon {self.horizon}, "
-                f"got {self.replan_every}"
-            )
         if self.steps is not None:
             self.rule(self.steps)
 
     @property
-    def steps_per_plan(self) -> int:
-        """Steps of a plan that are acted before the next one is made."""
-        return self.replan_every
+    def replanning(self) -> Replanning:
+        """When to make a new plan."""
+        return Replanning(self.replan_every, self.keep_better, self.warm_start)
 
     def _actions(self) -> dict[str, Any]:
         return {"initial": self.initial, "action_repeat": self.action_repeat}
@@ -68,7 +67,7 @@ class DeskPlanning(Planning):
 class DeskEvaluation(Evaluation):
     """One cell of the results: an agent, a world to plan with, a task.
 
-    The ground-truth subgoals are states after each object but the last has been dealt with.
+    The ground-truth subgoals are states on the way; see :meth:`DeskTrials.true_subgoals`.
 
     Attributes:
         task: what is to be done: "door", "two_block", "door_block" or "door_two_block".
@@ -187,16 +186,23 @@ class DeskTrials:
         return np.asarray(objects.all(axis=1))
 
     def true_subgoals(self, count: int) -> Images:
-        """Return images of the states on the way, ``[B, count, S, S, 3]``.
+        """Return images of states on the way, ``[B, count, S, S, 3]``.
 
-        Evenly chosen where there are more than asked for; where there are fewer, the last one,
-        or the goal, is there more than once.
+        These are the states after each of the task's ``J`` objects but the last. Where that is
+        fewer than asked for, also those in which the finger is beside each object, ready to push
+        it: ``2 J - 1`` in all. They are chosen evenly; beyond that, the last is repeated.
         """
-        stages = self.episodes.stages
-        most = stages.shape[1]
-        chosen = np.round(np.arange(1, count + 1) * most / (count + 1)).astype(int) - 1
-        states = stages[:, np.clip(chosen, 0, most - 1)]
-        images = self.pool.render(states.reshape(-1, states.shape[-1]))
+        stages, approaches = self.episodes.stages, self.episodes.approaches
+        way = stages[:, :-1]
+        if count > way.shape[1]:
+            both = np.stack([approaches, stages], axis=2)
+            way = both.reshape(len(self), -1, stages.shape[-1])[:, :-1]
+        most = way.shape[1]
+        # All of them, or the middle ones of equal parts.
+        chosen = np.minimum(np.arange(count), most - 1)
+        if count < most:
+            chosen = (np.arange(1, count + 1) * (most + 1)) // (count + 1) - 1
+        images = self.pool.render(way[:, chosen].reshape(-1, stages.shape[-1]))
         return images.reshape(len(self), count, *images.shape[1:])
 
     def positions(self, states: Floats) -> Floats:

@@ -7,6 +7,7 @@ from typing import Any, Literal, TypeAlias
 
 import hvf_core
 from hvf.evaluation.acting import Acting
+from hvf.evaluation.agents import Replanning
 
 OverHorizon: TypeAlias = Literal["last", "sum", "min"]
 
@@ -55,6 +56,7 @@ class Planning:
         # The planners check what is theirs.
         self.rule(1)
         self.search(1)
+        self.replanning.check(self.horizon)
 
     def rule(self, steps: int) -> Acting:
         """The rule of acting, for trials of ``steps`` steps (T)."""
@@ -84,9 +86,9 @@ class Planning:
         )
 
     @property
-    def steps_per_plan(self) -> int:
-        """Steps of a plan that are acted before the next one is made."""
-        return 1
+    def replanning(self) -> Replanning:
+        """When to make a new plan."""
+        return Replanning(warm_start=self.warm_start)
 
     def _actions(self) -> dict[str, Any]:
         """What the search for actions is told of an environment's actions."""

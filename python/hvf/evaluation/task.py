@@ -150,9 +150,7 @@ class EpisodeTask(abc.ABC, Generic[SomeTrials]):
                 source = SearchedSubgoals(search, world, generator)
             elif evaluation.agent == "ground-truth":
                 source = TrueSubgoals(evaluation.subgoals)
-            self.agent = PlanningAgent(
-                world, planning.mpc, source, planning.warm_start, planning.steps_per_plan, told
-            )
+            self.agent = PlanningAgent(world, planning.mpc, source, planning.replanning, told)
 
     @abc.abstractmethod
     def trials(self, first: int, count: int) -> SomeTrials:
