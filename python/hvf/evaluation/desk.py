@@ -81,6 +81,20 @@ class DeskEvaluation(Evaluation):
     presets: ClassVar[Mapping[str, Planning]] = {
         "default": DeskPlanning(),
         "paper": DeskPlanning(initial="normal"),
+        # What two cores can pay for true dynamics: short plans, few of them, and a blur without
+        # which so few candidates hardly ever come near the thin arm of a goal image.
+        "simulator": DeskPlanning(
+            samples=16,
+            elites=4,
+            iterations=4,
+            keep_elites=2,
+            horizon=6,
+            replan_every=3,
+            keep_better=True,
+            blur=3.0,
+            steps_per_subgoal=12,
+            threshold=5e-3,
+        ),
     }
 
     task: TaskName = "door_two_block"
