@@ -40,6 +40,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Success of an agent at the Franka desk, with its interval.",
     ),
     "results maze": ("hvf.cli.results:maze", "Evaluations in a folder as a Markdown table."),
+    "results desk": (
+        "hvf.cli.results_desk:desk",
+        "Evaluations in a folder as a Markdown table.",
+    ),
     "plan maze": ("hvf.cli.plan:maze", "Plan and act in one episode of the maze; pictures."),
     "plan desk": (
         "hvf.cli.plan_desk:desk",
