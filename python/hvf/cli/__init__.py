@@ -35,8 +35,20 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "export weights": ("hvf.cli.export:weights", "Copy a trained model at half its size."),
     "eval maze": ("hvf.cli.evaluate:maze", "Success of an agent in the maze, with its interval."),
+    "eval desk": (
+        "hvf.cli.evaluate_desk:desk",
+        "Success of an agent at the Franka desk, with its interval.",
+    ),
     "results maze": ("hvf.cli.results:maze", "Evaluations in a folder as a Markdown table."),
+    "results desk": (
+        "hvf.cli.results_desk:desk",
+        "Evaluations in a folder as a Markdown table.",
+    ),
     "plan maze": ("hvf.cli.plan:maze", "Plan and act in one episode of the maze; pictures."),
+    "plan desk": (
+        "hvf.cli.plan_desk:desk",
+        "Plan and act in one episode at the Franka desk; pictures.",
+    ),
     "demo maze": ("hvf.cli.demo:maze", "Reach a few goal images with and without subgoals."),
 }
 

@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from hvf.cli.presets import begin_with_preset as prepare
-from hvf.evaluation.maze import AgentName, MazeEvaluation, Preset
+from hvf.evaluation.maze import MazeEvaluation, Preset
+from hvf.evaluation.task import AgentName
 
 __all__ = ["maze", "prepare"]
 

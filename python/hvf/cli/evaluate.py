@@ -11,39 +11,41 @@ import tyro
 from rich.console import Console
 
 from hvf.cli.presets import begin_with_preset as prepare
-from hvf.evaluation.evaluate import evaluate, table
+from hvf.evaluation.evaluate import Task, evaluate, table
 from hvf.evaluation.maze import MazeEvaluation, Preset
 
-__all__ = ["maze", "prepare"]
+__all__ = ["EvalMaze", "Measured", "maze", "measure", "prepare"]
 
 
 @dataclasses.dataclass(frozen=True)
-class EvalMaze:
-    """Success of an agent in the maze.
+class Measured:
+    """How much is measured, and where the result goes.
 
     Attributes:
-        evaluation: which agent, world and difficulty, and how it plans.
         trials: episodes; the first 100 of the default seed are those of the results table.
-        preset: settings to begin with; the options below show and change them one by one.
         out: JSON file with the result and every trial's outcome; by default named after the
             evaluation, in outputs/eval.
         chunk: trials that run together; a stop loses no more than these.
         overwrite: begin anew if the file holds another evaluation.
     """
 
-    evaluation: Annotated[MazeEvaluation, tyro.conf.OmitArgPrefixes] = MazeEvaluation()
     trials: int = 100
-    preset: Preset = "default"
     out: Path | None = None
     chunk: int = 25
     overwrite: bool = False
 
-    @property
-    def file(self) -> Path:
-        """Where the result is written."""
-        words = f"{self.evaluation.name} {self.preset}"
-        slug = re.sub(r"[^a-z0-9]+", "-", words.lower()).strip("-")
-        return self.out or Path("outputs", "eval", f"{slug}.json")
+
+@dataclasses.dataclass(frozen=True)
+class EvalMaze(Measured):
+    """Success of an agent in the maze.
+
+    Attributes:
+        evaluation: which agent, world and difficulty, and how it plans.
+        preset: settings to begin with; the options below show and change them one by one.
+    """
+
+    evaluation: Annotated[MazeEvaluation, tyro.conf.OmitArgPrefixes] = MazeEvaluation()
+    preset: Preset = "default"
 
 
 def maze(config: Annotated[EvalMaze, tyro.conf.arg(name="")]) -> None:
@@ -54,10 +56,14 @@ def maze(config: Annotated[EvalMaze, tyro.conf.arg(name="")]) -> None:
         hvf eval maze --agent hvf --subgoals 2 --difficulty hard
         hvf eval maze --agent none --model simulator --preset paper
     """
+    measure(config.evaluation.task(), config, config.preset)
+
+
+def measure(task: Task, config: Measured, preset: str) -> None:
+    """Run a task's trials, write the report, and print it."""
+    slug = re.sub(r"[^a-z0-9]+", "-", f"{task.name} {preset}".lower()).strip("-")
+    file = config.out or Path("outputs", "eval", f"{slug}.json")
     console = Console()
-    task = config.evaluation.task()
-    report = evaluate(
-        task, config.trials, config.file, config.chunk, config.overwrite, console=console
-    )
+    report = evaluate(task, config.trials, file, config.chunk, config.overwrite, console=console)
     console.print(table([report]))
-    console.print(f"{config.file} has every trial, all settings and versions", highlight=False)
+    console.print(f"{file} has every trial, all settings and versions", highlight=False)

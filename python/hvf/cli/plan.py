@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -12,24 +12,24 @@ from rich.console import Console
 from hvf.cli.presets import begin_with_preset as prepare
 from hvf.evaluation.maze import MazeEvaluation, Preset
 
-__all__ = ["maze", "prepare"]
+if TYPE_CHECKING:
+    from hvf.evaluation.recording import DrawableTrials
+    from hvf.evaluation.task import EpisodeTask
+
+__all__ = ["Drawn", "PlanMaze", "draw", "maze", "prepare"]
 
 
 @dataclasses.dataclass(frozen=True)
-class PlanMaze:
-    """One episode of the maze.
+class Drawn:
+    """Which episode is drawn, and where.
 
     Attributes:
-        evaluation: which agent, world and difficulty, and how it plans.
         episode: number of the episode.
-        preset: settings to begin with; the options below show and change them one by one.
         out: folder for the pictures.
         film: kind of the film; mp4 needs ``pip install imageio[ffmpeg]``.
     """
 
-    evaluation: Annotated[MazeEvaluation, tyro.conf.OmitArgPrefixes] = MazeEvaluation()
     episode: int = 0
-    preset: Preset = "default"
     out: Path = Path("outputs/plan")
     film: Annotated[str, tyro.conf.arg(constructor=str)] = "gif"
 
@@ -40,6 +40,19 @@ class PlanMaze:
             raise ValueError(f"film: must be 'gif' or 'mp4', got {self.film!r}")
 
 
+@dataclasses.dataclass(frozen=True)
+class PlanMaze(Drawn):
+    """One episode of the maze.
+
+    Attributes:
+        evaluation: which agent, world and difficulty, and how it plans.
+        preset: settings to begin with; the options below show and change them one by one.
+    """
+
+    evaluation: Annotated[MazeEvaluation, tyro.conf.OmitArgPrefixes] = MazeEvaluation()
+    preset: Preset = "default"
+
+
 def maze(config: Annotated[PlanMaze, tyro.conf.arg(name="")]) -> None:
     """Plan and act in one episode of the maze; write a picture of the plan and a film.
 
@@ -48,11 +61,15 @@ def maze(config: Annotated[PlanMaze, tyro.conf.arg(name="")]) -> None:
 
         hvf plan maze --difficulty hard --episode 3
     """
+    draw(config.evaluation.task(), config)
+
+
+def draw(task: EpisodeTask[DrawableTrials], config: Drawn) -> None:
+    """Run one episode, write its pictures, and say how it went."""
     from hvf.evaluation.pictures import save_film, save_strip
     from hvf.evaluation.recording import record
 
     console = Console()
-    task = config.evaluation.task()
     outcome, (episode,) = record(task, config.episode, 1)
     name = f"{task.name}, episode {config.episode}"
     stem = config.out / f"episode-{config.episode}"

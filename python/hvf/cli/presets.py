@@ -10,8 +10,6 @@ import typing
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from hvf.evaluation.maze import MazeEvaluation, Preset
-
 
 def begin_with_preset(command: Callable[..., Any], words: Sequence[str]) -> Callable[..., Any]:
     """The command with the preset named in ``words`` as the default of its config.
@@ -22,8 +20,9 @@ def begin_with_preset(command: Callable[..., Any], words: Sequence[str]) -> Call
     """
     annotation = typing.get_type_hints(command, include_extras=True)["config"]
     config_type = typing.get_args(annotation)[0]
-    name = _preset(words)
-    default = config_type(evaluation=MazeEvaluation.of(name), preset=name)
+    hints = typing.get_type_hints(config_type)
+    name = _preset(words, typing.get_args(hints["preset"]))
+    default = config_type(evaluation=hints["evaluation"].of(name), preset=name)
 
     def prepared(config: Any = default) -> Any:
         return command(config)
@@ -33,11 +32,11 @@ def begin_with_preset(command: Callable[..., Any], words: Sequence[str]) -> Call
     return prepared
 
 
-def _preset(words: Sequence[str]) -> Preset:
-    """The last preset named; the parser reports one that there is not."""
-    name: Preset = "default"
+def _preset(words: Sequence[str], presets: Sequence[str]) -> str:
+    """The last of the presets named; the parser reports one that there is not."""
+    name = "default"
     for word, following in zip(words, [*words[1:], ""], strict=True):
         value = word.removeprefix("--preset=") if "=" in word else following
-        if word.split("=")[0] == "--preset" and value in typing.get_args(Preset):
-            name = typing.cast(Preset, value)
+        if word.split("=")[0] == "--preset" and value in presets:
+            name = value
     return name

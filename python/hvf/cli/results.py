@@ -5,22 +5,49 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args
+from typing import Annotated, Any, NamedTuple, TypeAlias, get_args
 
 import tyro
 
 from hvf.evaluation.evaluate import Report, load
-from hvf.evaluation.maze import TEST_SEED, AgentName, Difficulty, MazePlanning, Preset
+from hvf.evaluation.maze import Difficulty, MazeEvaluation
+from hvf.evaluation.task import AGENTS, TEST_SEED, AgentName, Evaluation, agent_name
 
-DIFFICULTIES: tuple[str, ...] = get_args(Difficulty)
+Published: TypeAlias = Mapping[tuple[AgentName, int], Mapping[str, float]]
 
-PAPER: dict[tuple[AgentName, int], dict[str, float]] = {
-    ("none", 0): {"easy": 0.93, "medium": 0.68, "hard": 0.33},
-    ("hvf", 1): {"hard": 0.47},
-    ("hvf", 2): {"hard": 0.54},
-}
-"""Success rates that Nair & Finn (ICLR 2020) give in tables, 100 trials each: pixel cost without
-subgoals, and numbers of subgoals on hard. Their other maze results are in a bar chart only."""
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """What the table of one environment has.
+
+    Attributes:
+        environment: its name.
+        key: setting that the columns are for.
+        columns: its values.
+        evaluation: settings of its evaluations.
+        published: success rates that Nair & Finn (ICLR 2020) give in numbers, 100 trials each.
+    """
+
+    environment: str
+    key: str
+    columns: tuple[str, ...]
+    evaluation: type[Evaluation]
+    published: Published = dataclasses.field(default_factory=dict)
+
+
+MAZE = Layout(
+    "maze",
+    "difficulty",
+    get_args(Difficulty),
+    MazeEvaluation,
+    # Pixel cost without subgoals, and numbers of subgoals on hard. Their other results are in a
+    # bar chart only.
+    {
+        ("none", 0): {"easy": 0.93, "medium": 0.68, "hard": 0.33},
+        ("hvf", 1): {"hard": 0.47},
+        ("hvf", 2): {"hard": 0.54},
+    },
+)
 
 
 class Row(NamedTuple):
@@ -34,12 +61,7 @@ class Row(NamedTuple):
     @property
     def agent_name(self) -> str:
         """As the table has it."""
-        return {
-            "none": "no subgoals",
-            "hvf": f"HVF-{self.subgoals}",
-            "ground-truth": f"ground truth-{self.subgoals}",
-            "random": "random",
-        }[self.agent]
+        return agent_name(self.agent, self.subgoals)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +81,7 @@ def maze(config: Annotated[ResultsMaze, tyro.conf.arg(name="")]) -> None:
     Cells are success rates with 95% Wilson intervals, and the number of trials if it is not 100.
     Example: hvf results maze results/maze
     """
-    print(markdown(read(config.folder)))
+    print(markdown(read(config.folder), MAZE))
 
 
 def read(folder: Path) -> dict[Path, Report]:
@@ -77,64 +99,68 @@ def read(folder: Path) -> dict[Path, Report]:
     return reports
 
 
-def markdown(reports: Mapping[Path, Report]) -> str:
+def markdown(reports: Mapping[Path, Report], layout: Layout) -> str:
     """Reports as a Markdown table.
 
     Args:
-        reports: evaluations of the maze, by the file that they are from.
+        reports: evaluations of one environment, by the file that they are from.
+        layout: of its table.
 
     Raises:
-        ValueError: a report that is not of the maze, or two of the same thing that disagree.
+        ValueError: a report of something else, or two of the same thing that disagree.
     """
     rows: dict[Row, dict[str, Report]] = {}
     for path, report in reports.items():
         if not report.trials:
             continue
-        row, difficulty = _place(path, report)
-        other = rows.setdefault(row, {}).setdefault(difficulty, report)
+        row, column = _place(path, report, layout)
+        other = rows.setdefault(row, {}).setdefault(column, report)
         if _outcomes(other) != _outcomes(report):
             raise ValueError(
                 f"folder: {path} and another file are of the same evaluation ({report.name}, "
                 f"{row.settings}) with different results"
             )
+    columns = layout.columns
     lines = [
-        "| settings | world | agent | easy | medium | hard | s/search | ms/step |",
-        "|---|---|---|---:|---:|---:|---:|---:|",
+        _line(["settings", "world", "agent", *columns, "s/search", "ms/step"]),
+        f"|---|---|---|{'---:|' * (len(columns) + 2)}",
     ]
     for row in sorted(rows, key=_order):
         cells = rows[row]
-        rates = [_cell(cells[name]) if name in cells else "" for name in DIFFICULTIES]
+        rates = [_cell(cells[name]) if name in cells else "" for name in columns]
         lines.append(_line([*row[:2], row.agent_name, *rates, *_seconds(cells.values())]))
-    for (agent, subgoals), published in PAPER.items():
+    for (agent, subgoals), published in layout.published.items():
         row = Row("ICLR 2020, tables", "learned (SV2P)", agent, subgoals)
-        rates = [f"{published[name]:.0%}" if name in published else "" for name in DIFFICULTIES]
+        rates = [f"{published[name]:.0%}" if name in published else "" for name in columns]
         lines.append(_line([*row[:2], row.agent_name, *rates, "", ""]))
     return "\n".join([*lines, *_notes(rows)])
 
 
-def _place(path: Path, report: Report) -> tuple[Row, str]:
+def _place(path: Path, report: Report, layout: Layout) -> tuple[Row, str]:
     """Row and column of a report."""
+    wrong = f"{path}: is not an evaluation of the {layout.environment}"
     try:
         config = report.config
-        agent, subgoals, difficulty = config["agent"], config["subgoals"], config["difficulty"]
-        settings = _settings(MazePlanning(**config["planning"]), config["seed"])
-        generator = "" if config["generator"] == "default" else f" ({config['generator']})"
-        world = config["model"] + (generator if agent == "hvf" else "")
+        agent, subgoals, column = config["agent"], config["subgoals"], config[layout.key]
+        settings = _settings(config["planning"], config["seed"], layout.evaluation)
+        generator = config.get("generator", "default")
+        drawn_by = "" if generator == "default" else f" ({generator})"
+        world = config["model"] + (drawn_by if agent == "hvf" else "")
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: is not an evaluation of the maze ({error})") from error
-    if agent not in get_args(AgentName) or difficulty not in DIFFICULTIES:
-        raise ValueError(f"{path}: is not an evaluation of the maze ({agent}, {difficulty})")
+        raise ValueError(f"{wrong} ({error})") from error
+    if agent not in AGENTS or column not in layout.columns:
+        raise ValueError(f"{wrong} ({agent}, {column})")
     if agent == "random":
         settings, world = "", ""
-    return Row(settings, world, agent, 0 if agent in ("none", "random") else subgoals), difficulty
+    return Row(settings, world, agent, 0 if agent in ("none", "random") else subgoals), column
 
 
-def _settings(planning: MazePlanning, seed: int) -> str:
+def _settings(planning: Mapping[str, Any], seed: int, evaluation: type[Evaluation]) -> str:
     """The nearest preset, and in what the settings differ from it."""
-    found = dataclasses.asdict(planning)
+    found = dataclasses.asdict(type(evaluation.presets["default"])(**planning))
     differences: dict[str, dict[str, Any]] = {}
-    for preset in get_args(Preset):
-        named = dataclasses.asdict(MazePlanning.preset(preset))
+    for preset, settings in evaluation.presets.items():
+        named = dataclasses.asdict(settings)
         differences[preset] = {name: found[name] for name in found if found[name] != named[name]}
     nearest = min(differences, key=lambda preset: len(differences[preset]))
     words = [nearest, *(f"{name} {value}" for name, value in differences[nearest].items())]

@@ -3,9 +3,10 @@
 Letters in shapes: ``B`` trials, ``N`` of them still running, ``K`` subgoals, ``A`` action
 dimensions, ``T`` steps.
 
-The rule: at every step, plan towards the current subgoal and take the plan's first action. Go on
-to the next subgoal when the observation is close enough to it, or after ``T*`` steps. The goal
-comes last. Success is asked of the environment after every step, and ends a trial.
+The rule: at every step, plan towards the current subgoal and take the plan's first action (an
+agent may keep to a plan for a few steps, to plan less often). Go on to the next subgoal when the
+observation is close enough to it, or after ``T*`` steps. The goal comes last. Success is asked of
+the environment after every step, and ends a trial.
 
 A trial's result depends on its own seed only, not on which others run beside it.
 """

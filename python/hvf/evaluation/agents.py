@@ -5,6 +5,7 @@ All but the random one plan with the same visual MPC; they differ in where subgo
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, Protocol, cast
 
@@ -71,14 +72,51 @@ class TrueSubgoals:
         return list(cast(TrialsWithTruth, trials).true_subgoals(self.count))
 
 
+class TrialsWithFrames(Trials, Protocol):
+    """Trials that can say more than what is seen."""
+
+    def frames(self, which: Indices) -> Frames:
+        """Return frames of the true simulator where the trials ``which`` are, ``[N]``."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Replanning:
+    """When a plan is replaced by a new one. A new target always gets a new plan.
+
+    Attributes:
+        every: steps of a plan that are acted before the next one is made, up to the horizon.
+        keep_better: go on with the rest of a plan, if it has one, as long as no new plan has a
+            lower predicted cost.
+        warm_start: begin each search of actions around the rest of the last plan.
+    """
+
+    every: int = 1
+    keep_better: bool = False
+    warm_start: bool = False
+
+    def check(self, horizon: int) -> None:
+        """Refuse to act more steps than a plan has.
+
+        Raises:
+            ValueError: it is so, or fewer than one.
+        """
+        if not 1 <= self.every <= horizon:
+            raise ValueError(
+                f"replan_every: must be from 1 to the horizon {horizon}, got {self.every}"
+            )
+
+
 class PlanningAgent:
-    """Plans every step anew with visual MPC, towards subgoals of one source.
+    """Plans with visual MPC, towards subgoals of one source.
 
     Args:
         world: what it plans with.
         mpc: how it plans.
         source: where its subgoals come from.
-        warm_start: begin each search of actions around the rest of the last plan.
+        replanning: when it plans anew; at every step, if nothing else is said.
+        told: plans start from frames of the trials (:class:`TrialsWithFrames`) and not from what
+            is observed: for a simulator whose state cannot be read off an image.
     """
 
     def __init__(
@@ -86,30 +124,97 @@ class PlanningAgent:
         world: WorldModel[Any],
         mpc: VisualMPC,
         source: SubgoalSource,
-        warm_start: bool = False,
+        replanning: Replanning = Replanning(),
+        told: bool = False,
     ) -> None:
+        replanning.check(mpc.horizon)
         self.world = world
         self.mpc = mpc
         self.source = source
-        self.warm_start = warm_start
-        self._last_plans: dict[int, NDArray[np.float32]] = {}
+        self.replanning = replanning
+        self.told = told
+        self._trials: TrialsWithFrames | None = None
+        self._plans: dict[int, _Current] = {}
 
     def subgoals(self, trials: Trials, seeds: Sequence[int]) -> list[Images]:
         """Return the subgoals of every trial, and forget the last ones' plans."""
-        self._last_plans.clear()
+        self._plans.clear()
+        self._trials = cast(TrialsWithFrames, trials) if self.told else None
         return self.source(trials, seeds)
 
     def act(
         self, which: Indices, observations: Images, targets: Images, seeds: Sequence[int]
     ) -> Decision:
-        """Return the first actions of the best plans."""
+        """Return the next actions of the best plans."""
+        due = [
+            n
+            for n, (trial, target) in enumerate(zip(which, targets, strict=True))
+            if self._is_due(int(trial), target)
+        ]
+        if due:
+            self._plan(which[due], observations[due], targets[due], [seeds[n] for n in due])
+        current = [self._plans[int(trial)] for trial in which]
+        actions = np.stack([plan.next_action() for plan in current])
+        return Decision(actions, np.array([plan.cost for plan in current], np.float32))
+
+    def _is_due(self, trial: int, target: Images) -> bool:
+        """Whether a trial needs a new plan."""
+        plan = self._plans.get(trial)
+        if plan is None or plan.since >= self.replanning.every or plan.left == 0:
+            return True
+        return not np.array_equal(plan.target, target)
+
+    def _plan(
+        self, which: Indices, observations: Images, targets: Images, seeds: Sequence[int]
+    ) -> None:
         last = None
-        if self.warm_start and all(int(trial) in self._last_plans for trial in which):
-            last = np.stack([self._last_plans[int(trial)] for trial in which])
-        plans = self.mpc.plan_batch(self.world, observations, targets, seeds=seeds, warm_start=last)
-        actions = plans.actions
-        self._last_plans.update(zip(map(int, which), actions, strict=True))
-        return Decision(np.ascontiguousarray(actions[:, 0]), plans.costs)
+        if self.replanning.warm_start and all(int(trial) in self._plans for trial in which):
+            last = np.stack([self._plans[int(trial)].before_last_action() for trial in which])
+        starts = observations if self._trials is None else self._trials.frames(which)
+        plans = self.mpc.plan_batch(self.world, starts, targets, seeds=seeds, warm_start=last)
+        for n, trial in enumerate(map(int, which)):
+            new = _Current(plans.actions[n], float(plans.costs[n]), targets[n])
+            old = self._plans.get(trial)
+            if self.replanning.keep_better and old is not None and old.still_better(new):
+                old.since = 0
+            else:
+                self._plans[trial] = new
+
+
+@dataclasses.dataclass
+class _Current:
+    """A plan that is being acted; ``since`` counts steps since it was last weighed."""
+
+    actions: NDArray[np.float32]
+    cost: float
+    target: Images
+    acted: int = 0
+    since: int = 0
+
+    @property
+    def left(self) -> int:
+        """Steps that have not been acted."""
+        return len(self.actions) - self.acted
+
+    def next_action(self) -> NDArray[np.float32]:
+        action: NDArray[np.float32] = self.actions[self.acted]
+        self.acted += 1
+        self.since += 1
+        return action
+
+    def still_better(self, new: _Current) -> bool:
+        """Whether the rest of this plan is worth more than a new one."""
+        return self.left > 0 and self.cost <= new.cost and np.array_equal(self.target, new.target)
+
+    def before_last_action(self) -> NDArray[np.float32]:
+        """The plan as the search wants it for a warm start: it begins with the last action acted.
+
+        Its last action is repeated where the plan has come to its end.
+        """
+        first = max(self.acted - 1, 0)
+        steps = np.minimum(np.arange(len(self.actions)) + first, len(self.actions) - 1)
+        rest: NDArray[np.float32] = self.actions[steps]
+        return rest
 
 
 class RandomAgent:

@@ -262,7 +262,7 @@ def table(reports: Sequence[Report], title: str = "") -> Table:
 def provenance() -> dict[str, Any]:
     """Commit and versions of the code that runs."""
     packages = {}
-    for package in ("hvf", "numpy", "torch", "gymnasium"):
+    for package in ("hvf", "numpy", "torch", "gymnasium", "mujoco"):
         try:
             packages[package] = version(package)
         except PackageNotFoundError:

@@ -1,37 +1,23 @@
-"""The maze: its episodes as trials, its settings, its agents."""
+"""The maze: its episodes as trials, its settings."""
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 import hvf_core
-from hvf.evaluation.acting import Acting, Images, Indices, Outcome, act, derived_seed
-from hvf.evaluation.agents import (
-    NoSubgoals,
-    PlanningAgent,
-    RandomAgent,
-    SearchedSubgoals,
-    SubgoalSource,
-    TrueSubgoals,
-)
+from hvf.evaluation.acting import Acting, Images, Indices
+from hvf.evaluation.planning import OverHorizon, Planning
+from hvf.evaluation.task import EpisodeTask, Evaluation
 from hvf.worlds import WEIGHTS, MazeWorldConfig, load_maze
-
-TEST_SEED = 1_000_000_007
-"""Seed of the episodes that results are reported on. Settings were chosen on
-:data:`VALIDATION_SEED`, models trained on data of small seeds (``hvf collect maze --seed``)."""
-VALIDATION_SEED = 1_000_000_009
-"""Seed of the episodes that settings were chosen on."""
 
 _CHECKPOINTS = ("dynamics", "keypoint_generator", "cvae", "temporal_distance")
 
-AgentName: TypeAlias = Literal["hvf", "none", "ground-truth", "random"]
 Difficulty: TypeAlias = Literal["easy", "medium", "hard"]
 ModelName: TypeAlias = Literal["learned", "simulator"]
 GeneratorName: TypeAlias = Literal["default", "keypoint", "cvae", "oracle"]
@@ -39,55 +25,33 @@ Preset: TypeAlias = Literal["default", "paper"]
 
 
 @dataclasses.dataclass(frozen=True)
-class MazePlanning:
-    """How agents plan and act. The paper's names are in brackets.
+class MazePlanning(Planning):
+    """How agents plan and act in the maze; see :class:`~hvf.evaluation.planning.Planning`.
 
     Attributes:
-        samples: candidate action sequences per iteration (D).
-        elites: of which the best are kept (D*).
-        iterations: iterations of the search for actions.
-        horizon: model steps that a plan looks ahead (H).
         initial: first distribution of actions: uniform over the box, normal (the paper's), or
             uniform with x >= 0 (a hint of the original code that the goal is to the right).
-        keep_elites: best candidates that compete again in the next iteration.
-        warm_start: begin each step's search around the rest of the last plan.
-        blur: standard deviation of a Gaussian blur of frames before they are compared, pixels.
-        over_horizon: predicted frames that count: the last (the paper's), their sum or minimum.
-        cost: what they cost: pixel distance to the goal (the paper's), distance in the CVAE's
-            latent, or learned temporal distance; the latter two for learned models only.
-        subgoal_samples: subgoal samples per iteration (M).
-        subgoal_elites: of which the best are kept (M*).
-        subgoal_iterations: iterations of the search for subgoals.
-        reduction: cost of a sample over its segments: the maximum (the paper's) or the mean.
+        cost: what predicted frames cost: pixel distance to the goal (the paper's), distance in the
+            CVAE's latent, or learned temporal distance; the latter two for learned models only.
         steps: steps of a trial (T).
-        steps_per_subgoal: most steps towards one subgoal (T*).
-        threshold: cost below which a subgoal counts as reached.
-        reached: which cost that is: of the observed frame, or planned.
     """
 
-    samples: int = 200
-    elites: int = 40
-    iterations: int = 5
-    horizon: int = 5
     initial: Literal["uniform", "normal", "rightward"] = "uniform"
-    keep_elites: int = 0
-    warm_start: bool = False
     blur: float = 3.0
-    over_horizon: Literal["last", "sum", "min"] = "min"
+    over_horizon: OverHorizon = "min"
     cost: Literal["pixel", "latent", "temporal"] = "pixel"
     subgoal_samples: int = 100
     subgoal_elites: int = 20
-    subgoal_iterations: int = 5
-    reduction: Literal["max", "mean"] = "max"
     steps: int = 50
-    steps_per_subgoal: int = 10
-    threshold: float = 1e-3
-    reached: Literal["observed", "planned"] = "observed"
 
     def __post_init__(self) -> None:
-        # The planners and the world check what is theirs.
+        if self.initial not in ("uniform", "normal", "rightward"):
+            raise ValueError(
+                f"initial: must be 'uniform', 'normal' or 'rightward', got {self.initial!r}"
+            )
+        super().__post_init__()
         _ = self.acting
-        self.search(1)
+        # The world checks what is its own.
         hvf_core.MazeWorld(blur=self.blur, over_horizon=self.over_horizon)
 
     @classmethod
@@ -112,46 +76,23 @@ class MazePlanning:
     @property
     def acting(self) -> Acting:
         """The rule of acting."""
-        return Acting(self.steps, self.steps_per_subgoal, self.threshold, self.reached)
+        return self.rule(self.steps)
 
-    @property
-    def mpc(self) -> hvf_core.VisualMPC:
-        """Search for actions."""
-        if self.initial not in ("uniform", "normal", "rightward"):
-            raise ValueError(
-                f"initial: must be 'uniform', 'normal' or 'rightward', got {self.initial!r}"
-            )
+    def _actions(self) -> dict[str, Any]:
         rightward = self.initial == "rightward"
-        return hvf_core.VisualMPC(
-            horizon=self.horizon,
-            samples=self.samples,
-            elites=self.elites,
-            iterations=self.iterations,
-            initial="normal" if self.initial == "normal" else "uniform",
-            initial_low=(0.0, -hvf_core.MAZE_ACTION_LIMIT) if rightward else None,
-            keep_elites=self.keep_elites,
-        )
-
-    def search(self, subgoals: int) -> hvf_core.HVF:
-        """Search for subgoals."""
-        return hvf_core.HVF(
-            mpc=self.mpc,
-            subgoals=subgoals,
-            samples=self.subgoal_samples,
-            elites=self.subgoal_elites,
-            iterations=self.subgoal_iterations,
-            reduction=self.reduction,
-        )
+        return {
+            "initial": "normal" if self.initial == "normal" else "uniform",
+            "initial_low": (0.0, -hvf_core.MAZE_ACTION_LIMIT) if rightward else None,
+        }
 
 
 @dataclasses.dataclass(frozen=True)
-class MazeEvaluation:
+class MazeEvaluation(Evaluation):
     """One cell of the results: an agent, a world to plan with, a difficulty.
 
+    The ground-truth subgoals are the agent in the gaps that it has to pass.
+
     Attributes:
-        agent: "hvf" searches for subgoals; "none" is visual foresight, straight to the goal;
-            "ground-truth" gets the gaps as subgoals; "random" acts at random.
-        subgoals: number of subgoals (K) of hvf and ground-truth.
         difficulty: walls to pass: easy 0, medium 1, hard 2.
         model: what is planned with: learned models, or the true simulator.
         generator: what draws subgoals for hvf: "keypoint" and "cvae" are learned, "oracle" draws
@@ -160,12 +101,13 @@ class MazeEvaluation:
         keypoint_generator: checkpoint of the keypoint generator; None for the shipped one.
         cvae: checkpoint of the CVAE; None for the shipped one.
         temporal_distance: checkpoint of the temporal distance; None for the shipped one.
-        seed: seed of the episodes and of all planning.
         planning: how agents plan and act.
     """
 
-    agent: AgentName = "hvf"
-    subgoals: int = 2
+    presets: ClassVar[Mapping[str, Planning]] = {
+        name: MazePlanning.preset(name) for name in get_args(Preset)
+    }
+
     difficulty: Difficulty = "hard"
     model: ModelName = "learned"
     generator: GeneratorName = "default"
@@ -173,50 +115,30 @@ class MazeEvaluation:
     keypoint_generator: Path | None = None
     cvae: Path | None = None
     temporal_distance: Path | None = None
-    seed: int = TEST_SEED
     planning: MazePlanning = MazePlanning()
 
     def __post_init__(self) -> None:
-        for name, kind in (("agent", AgentName), ("difficulty", Difficulty)):
-            value, allowed = getattr(self, name), get_args(kind)
-            if value not in allowed:
-                raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {value!r}")
+        super().__post_init__()
+        allowed = get_args(Difficulty)
+        if self.difficulty not in allowed:
+            words = ", ".join(allowed)
+            raise ValueError(f"difficulty: must be one of {words}, got {self.difficulty!r}")
         _ = self.world
-        if self.subgoals < 0:
-            raise ValueError(f"subgoals: must not be negative, got {self.subgoals}")
-        if not 0 <= self.seed < 2**64:
-            raise ValueError(f"seed: must be from 0 to 2**64 - 1, got {self.seed}")
-
-    @classmethod
-    def of(cls, preset: Preset = "default", **settings: Any) -> MazeEvaluation:
-        """An evaluation from settings of both dataclasses, beginning with a preset.
-
-        ``MazeEvaluation.of("paper", agent="none", horizon=10)``
-
-        Raises:
-            TypeError: for a setting that there is not.
-        """
-        own = {field.name for field in dataclasses.fields(cls)}
-        mine = {name: value for name, value in settings.items() if name in own}
-        rest = {name: value for name, value in settings.items() if name not in own}
-        planning = mine.pop("planning", MazePlanning.preset(preset))
-        return cls(planning=dataclasses.replace(planning, **rest), **mine)
 
     @property
     def name(self) -> str:
         """What is evaluated, in a few words."""
-        agents = {
-            "hvf": f"HVF-{self.subgoals}",
-            "none": "no subgoals",
-            "ground-truth": f"ground truth-{self.subgoals}",
-            "random": "random",
-        }
         world = "" if self.agent == "random" else f", {self.model}"
         if self.agent == "hvf" and self.generator != "default":
             world += f" ({self.generator})"
         if self.planning.cost != "pixel":
             world += f", {self.planning.cost} cost"
-        return f"maze {self.difficulty}: {agents[self.agent]}{world}"
+        return f"maze {self.difficulty}: {self.agent_name}{world}"
+
+    @property
+    def acting(self) -> Acting:
+        """The rule of acting."""
+        return self.planning.acting
 
     @property
     def world(self) -> MazeWorldConfig:
@@ -284,69 +206,41 @@ class MazeTrials:
         images = self._render(states.reshape(-1, 4))
         return images.reshape(len(self), count, *images.shape[1:])
 
+    def positions(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where agents in ``states[N, 4]`` are in the images, pixels, ``[N, 2]``."""
+        view = hvf_core.MAZE_VIEW
+        right, down = states[:, 0] + view, view - states[:, 1]
+        return np.stack([right, down], axis=1) * self.image_size / (2 * view) - 0.5
+
+    def target(self, trial: int) -> tuple[float, float, float]:
+        """Return the disc in which a trial's agent should end, pixels."""
+        column, row = self.positions(self.targets[trial][None])[0]
+        radius = hvf_core.MAZE_SUCCESS_DISTANCE * self.image_size / (2 * hvf_core.MAZE_VIEW)
+        return float(column), float(row), radius
+
     def _render(self, states: NDArray[np.float64]) -> Images:
         return hvf_core.maze_render(states, self.image_size)
 
 
-class MazeTask:
-    """An evaluation with its models loaded; see :class:`hvf.evaluation.evaluate.Task`."""
+class MazeTask(EpisodeTask[MazeTrials]):
+    """An evaluation in the maze with its models loaded."""
+
+    evaluation: MazeEvaluation
 
     def __init__(self, evaluation: MazeEvaluation) -> None:
-        self.evaluation = evaluation
-        self.world, self.generator = load_maze(evaluation.world)
-        planning = evaluation.planning
-        self.agent: PlanningAgent | RandomAgent
-        if evaluation.agent == "random":
-            self.agent = RandomAgent(self.world.action_low, self.world.action_high)
-        else:
-            source: SubgoalSource = NoSubgoals()
-            if evaluation.agent == "hvf" and evaluation.subgoals:
-                search = planning.search(evaluation.subgoals)
-                source = SearchedSubgoals(search, self.world, self.generator)
-            elif evaluation.agent == "ground-truth":
-                source = TrueSubgoals(evaluation.subgoals)
-            self.agent = PlanningAgent(self.world, planning.mpc, source, planning.warm_start)
-
-    @property
-    def name(self) -> str:
-        """What is evaluated."""
-        return self.evaluation.name
-
-    @property
-    def config(self) -> Mapping[str, Any]:
-        """All settings, and checksums of learned weights; JSON's types."""
-        settings = dataclasses.asdict(self.evaluation)
-        for name in _CHECKPOINTS:
-            settings[name] = None if settings[name] is None else str(settings[name])
-        return {**settings, "sha256": _checksums(self.evaluation.world)}
+        world, generator = load_maze(evaluation.world)
+        super().__init__(evaluation, world, generator, _checkpoints(evaluation.world))
 
     def trials(self, first: int, count: int) -> MazeTrials:
         """Fresh trials of episodes ``first..first + count``."""
-        return MazeTrials(self.evaluation.seed, first, count, self.evaluation.difficulty)
-
-    def seeds(self, first: int, count: int) -> list[int]:
-        """Seeds of the planning in these episodes."""
-        return [derived_seed(self.evaluation.seed, index) for index in range(first, first + count)]
-
-    def run(self, first: int, count: int) -> Outcome:
-        """Run episodes ``first..first + count``."""
-        return act(
-            self.trials(first, count),
-            self.agent,
-            self.evaluation.planning.acting,
-            self.seeds(first, count),
-        )
+        evaluation = self.evaluation
+        return MazeTrials(evaluation.seed, first, count, evaluation.difficulty)
 
 
-def _checksums(world: MazeWorldConfig) -> dict[str, str]:
-    """SHA-256 of the checkpoints that a world may be made of; none for a simulator."""
+def _checkpoints(world: MazeWorldConfig) -> dict[str, Path]:
+    """The checkpoints that a world may be made of; none for a simulator."""
     if world.model == "simulator" and world.generator in ("default", "oracle"):
         return {}
-    paths = {
-        name: getattr(world, name) or WEIGHTS / f"maze_{name}.safetensors" for name in _CHECKPOINTS
-    }
     return {
-        name: hashlib.sha256(path.read_bytes()).hexdigest()
-        for name, path in paths.items()
-        if path.exists()
+        name: getattr(world, name) or WEIGHTS / f"maze_{name}.safetensors" for name in _CHECKPOINTS
     }

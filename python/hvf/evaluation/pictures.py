@@ -13,11 +13,9 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-import hvf_core
 from hvf.atomic import replacing
 from hvf.evaluation.recording import Episode
 
-_EXTENT = (-hvf_core.MAZE_VIEW, hvf_core.MAZE_VIEW) * 2
 _PATH = "#ff7043"
 _TARGET = "#ffd54f"
 
@@ -77,12 +75,12 @@ def _film(episode: Episode, title: str) -> list[NDArray[np.uint8]]:
     seen = _show(left, episode.observations[0], "")
     aimed = _show(right, episode.goal, "")
     (trail,) = left.plot([], [], "-", color=_PATH, linewidth=1.5, alpha=0.8)
-    left.add_patch(_target(episode))
+    _draw_target(left, episode)
     figure.suptitle(title or f"episode {episode.index}", fontsize=12)
     frames = []
     for step, observation in enumerate(episode.observations):
         seen.set_data(observation)
-        trail.set_data(episode.states[: step + 1, 0], episode.states[: step + 1, 1])
+        trail.set_data(episode.path[: step + 1, 0], episode.path[: step + 1, 1])
         last = step == episode.trial.steps
         left.set_title(f"step {step}" + (f": {_verdict(episode)}" if last else ""), fontsize=11)
         # The last observation was reached aiming at what the last action aimed at.
@@ -101,24 +99,29 @@ def _verdict(episode: Episode) -> str:
     return "reached" if episode.trial.success else "not reached"
 
 
-def _target(episode: Episode) -> Circle:
-    x, y = episode.target
-    radius = hvf_core.MAZE_SUCCESS_DISTANCE
-    return Circle((x, y), radius, fill=False, color=_TARGET, linewidth=1.5, linestyle="--")
-
-
 def _show(ax: Axes, image: NDArray[np.uint8], label: str) -> AxesImage:
     ax.set_title(label, fontsize=11)
     ax.set_xticks([])
     ax.set_yticks([])
-    return ax.imshow(image, extent=_EXTENT, interpolation="nearest")
+    shown = ax.imshow(image, interpolation="nearest")
+    # What is drawn over the image does not stretch it.
+    ax.autoscale(False)
+    return shown
+
+
+def _draw_target(ax: Axes, episode: Episode) -> None:
+    if episode.target is None:
+        return
+    column, row, radius = episode.target
+    circle = Circle((column, row), radius, fill=False, color=_TARGET, linewidth=1.5, linestyle="--")
+    ax.add_patch(circle)
 
 
 def _draw_path(ax: Axes, episode: Episode) -> None:
-    x, y = episode.states[:, 0], episode.states[:, 1]
+    x, y = episode.path[:, 0], episode.path[:, 1]
     ax.plot(x, y, "-", color=_PATH, linewidth=1.2)
     ax.plot(x[1:], y[1:], "o", color=_PATH, markersize=2.5)
     for switch in episode.trial.switches:
         ax.plot(x[switch], y[switch], "o", color="white", markersize=5, markeredgecolor=_PATH)
     ax.plot(x[0], y[0], "s", color="white", markersize=5)
-    ax.add_patch(_target(episode))
+    _draw_target(ax, episode)

@@ -3,24 +3,47 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hvf.evaluation.acting import Images, Indices, Outcome, Trial, act
-from hvf.evaluation.maze import MazeTask
+from hvf.evaluation.acting import Images, Indices, Outcome, Trial, Trials, act
+from hvf.evaluation.task import EpisodeTask
+
+
+class DrawableTrials(Trials, Protocol):
+    """Trials whose images are functions of states, and that know where things are in them.
+
+    Attributes:
+        states: where the trials are, float64 ``[B, ...]``; they can be put elsewhere.
+    """
+
+    states: NDArray[np.float64]
+
+    def positions(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where what acts is in the images of ``states[N]``, pixels, ``[N, 2]``.
+
+        Column and row; the middle of the upper left pixel is (0, 0).
+        """
+        ...
+
+    def target(self, trial: int) -> tuple[float, float, float] | None:
+        """Return column, row and radius of where a trial should end; None if that is no place."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True)
 class Episode:
-    """One episode of the maze, as it went.
+    """One episode, as it went.
 
     Attributes:
         index: its number.
         trial: its outcome.
         observations: what was seen, uint8 ``[steps + 1, S, S, 3]``.
-        states: where the agent was, float64 ``[steps + 1, 4]``.
-        target: where it should be, float64 ``[2]``.
+        states: where everything was, float64 ``[steps + 1, ...]``.
+        path: where what acts was in the images, pixels, float64 ``[steps + 1, 2]``.
+        target: column, row and radius of where that should end, pixels; None if it is no place.
         subgoals: uint8 ``[K, S, S, 3]``.
         goal: goal image, uint8 ``[S, S, 3]``.
     """
@@ -29,7 +52,8 @@ class Episode:
     trial: Trial
     observations: Images
     states: NDArray[np.float64]
-    target: NDArray[np.float64]
+    path: NDArray[np.float64]
+    target: tuple[float, float, float] | None
     subgoals: Images
     goal: Images
 
@@ -44,7 +68,9 @@ class Episode:
         return image
 
 
-def record(task: MazeTask, first: int, count: int) -> tuple[Outcome, list[Episode]]:
+def record(
+    task: EpisodeTask[DrawableTrials], first: int, count: int
+) -> tuple[Outcome, list[Episode]]:
     """Run episodes ``first..first + count`` and keep what they saw."""
     trials = task.trials(first, count)
     states = [[state] for state in trials.states.copy()]
@@ -53,19 +79,19 @@ def record(task: MazeTask, first: int, count: int) -> tuple[Outcome, list[Episod
         for trial in which:
             states[trial].append(trials.states[trial].copy())
 
-    acting = task.evaluation.planning.acting
-    outcome = act(trials, task.agent, acting, task.seeds(first, count), keep)
+    outcome = act(trials, task.agent, task.evaluation.acting, task.seeds(first, count), keep)
     episodes = []
-    for offset, path in enumerate(states):
+    for offset, visited in enumerate(states):
         # Frames are functions of the states: drawn again instead of kept.
-        trials.states = np.stack(path)
+        trials.states = np.stack(visited)
         episodes.append(
             Episode(
                 first + offset,
                 outcome.trials[offset],
-                trials.observe(np.arange(len(path))),
+                trials.observe(np.arange(len(visited))),
                 trials.states,
-                trials.targets[offset],
+                trials.positions(trials.states),
+                trials.target(offset),
                 outcome.subgoals[offset],
                 trials.goals[offset],
             )

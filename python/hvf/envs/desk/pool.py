@@ -107,7 +107,7 @@ class DeskPool:
             ValueError: another shape, or numbers that are not finite.
         """
         states = checked_states(states)
-        parts = [self.submit(_render, states[part]) for part in self._parts(len(states))]
+        parts = [self.submit(_render, states[part]) for part in self.parts(len(states))]
         size = self.image_size
         return np.concatenate([np.empty((0, size, size, 3), np.uint8), *_results(parts)])
 
@@ -121,7 +121,7 @@ class DeskPool:
         states = checked_states(states)
         if len(actions) != len(states):
             raise ValueError(f"actions: expected {len(states)} sequences, got {len(actions)}")
-        chunks = self._parts(len(states))
+        chunks = self.parts(len(states))
         parts = [self.submit(_rollout, states[part], actions[part]) for part in chunks]
         ends, images = [], []
         for chunk, part in zip(chunks, parts, strict=True):
@@ -138,7 +138,8 @@ class DeskPool:
             np.concatenate([np.empty((0, size, size, 3), np.uint8), *images]),
         )
 
-    def _parts(self, count: int) -> list[slice]:
+    def parts(self, count: int) -> list[slice]:
+        """Slices of ``count`` things, one for each call of :meth:`submit`."""
         chunk = max(1, min(_CHUNK, -(-count // self.workers)))
         return [slice(first, min(first + chunk, count)) for first in range(0, count, chunk)]
 

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hvf.envs.desk.opengl import make_context
-from hvf.envs.desk.scene import BUTTON_BRIGHT, BUTTON_DARK, BUTTON_LIT, BUTTONS
+from hvf.envs.desk.scene import (
+    BUTTON_BRIGHT,
+    BUTTON_DARK,
+    BUTTON_LIT,
+    BUTTONS,
+    CAMERA_OPENING,
+)
 from hvf.envs.desk.simulator import BUTTONS as BUTTON_POSITIONS
 from hvf.envs.desk.simulator import POSITIONS, Floats, checked_states
 
@@ -107,12 +113,28 @@ def _free(context: Any, drawing: mujoco.MjrContext) -> None:
 
 
 def camera() -> mujoco.MjvCamera:
-    """The camera of the data and of the tasks; its opening angle is the model's, 45 degrees."""
+    """The camera of the data and of the tasks; its opening angle is the model's."""
     view = mujoco.MjvCamera()
     view.type = mujoco.mjtCamera.mjCAMERA_FREE
     view.azimuth, view.elevation, view.distance = 75.0, -58.0, 1.12
     view.lookat[:] = (0.49, 0.0, 0.03)
     return view
+
+
+def project(points: Floats, image_size: int) -> Floats:
+    """Where ``points[N, 3]`` (m) are in an image: column and row, pixels, ``[N, 2]``.
+
+    The middle of the upper left pixel is (0, 0).
+    """
+    view = camera()
+    turn, tilt = np.deg2rad([view.azimuth, view.elevation])
+    forward = np.array([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.sin(tilt)])
+    right = np.array([np.sin(turn), -np.cos(turn), 0.0])
+    away = points - (view.lookat - view.distance * forward)
+    focal = image_size / 2 / np.tan(np.deg2rad(CAMERA_OPENING) / 2)
+    plane = np.stack([away @ right, -away @ np.cross(right, forward)], axis=1)
+    projected: Floats = focal * plane / (away @ forward)[:, None] + (image_size - 1) / 2
+    return projected
 
 
 def check_image_size(image_size: int) -> None:

@@ -48,6 +48,9 @@ BLOCK_SIZE, BLOCK_MASS = 0.07, 0.08
 
 TIME_STEP = 0.005
 
+CAMERA_OPENING = 45.0
+"""Vertical opening angle of the camera, degrees."""
+
 _WOOD, _DARK_WOOD, _INSIDE = (0.86, 0.76, 0.62, 1), (0.45, 0.30, 0.20, 1), (0.16, 0.12, 0.12, 1)
 _FLOOR, _DOOR, _METAL = (0.40, 0.43, 0.47, 1), (0.93, 0.60, 0.12, 1), (0.10, 0.10, 0.12, 1)
 _DRAWER, _DRAWER_TOP = (0.50, 0.32, 0.62, 1), (0.66, 0.50, 0.76, 1)
@@ -121,7 +124,7 @@ def _light(spec: mujoco.MjSpec) -> None:
     spec.visual.headlight.diffuse = [0.38] * 3
     spec.visual.headlight.specular = [0.0] * 3
     spec.visual.map.znear = 0.05
-    spec.visual.global_.fovy = 45
+    spec.visual.global_.fovy = CAMERA_OPENING
     spec.worldbody.add_light(
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
         pos=[0.2, -0.6, 2.0],

@@ -31,7 +31,7 @@ from hvf.envs.desk.scene import (
     HANDLE_X,
     TABLE_Y,
 )
-from hvf.envs.desk.simulator import DOOR, DeskSimulator, Floats, block_positions
+from hvf.envs.desk.simulator import DOOR, WORKSPACE, DeskSimulator, Floats, block_positions
 
 TaskName: TypeAlias = Literal["door", "two_block", "door_block", "door_two_block"]
 TASKS: tuple[TaskName, ...] = get_args(TaskName)
@@ -63,6 +63,9 @@ DOOR_OPEN = (0.25, 0.40)
 _AT_HANDLE = (HANDLE_X, HANDLE_CLOSED_Y + HANDLE_RADIUS + panda.FINGER[1] + 0.004, 0.10)
 _AT_EDGE_Y = TABLE_Y - BLOCK_SIZE / 2
 _AT_EDGE_Z = 0.04
+# Where it is before: beside the cube however that is turned, and a little off the handle.
+_BESIDE_BLOCK = BLOCK_REACH + panda.FINGER[1] + 0.012
+_BESIDE_HANDLE = 0.010
 # A cube that was pushed over the edge lies this far out, on the floor.
 _FALLEN_Y = TABLE_Y + 0.09
 
@@ -74,12 +77,15 @@ class Episodes:
     Attributes:
         task: name of the task.
         starts: states, float64 ``[B, 63]``.
+        approaches: states in which the finger is beside each object, ready to push it, with
+            all before it dealt with: float64 ``[B, J, 63]``.
         stages: states after each object, float64 ``[B, J, 63]``; ``stages[:, -1]`` are the goals.
         blocks: which cubes have to leave the table, bool ``[B, 3]``.
     """
 
     task: TaskName
     starts: Floats
+    approaches: Floats
     stages: Floats
     blocks: NDArray[np.bool_]
 
@@ -106,17 +112,17 @@ def make_episodes(
     for name, value in (("seed", seed), ("first", first), ("count", count)):
         if value < 0:
             raise ValueError(f"{name}: must not be negative, got {value}")
-    starts, stages = [], []
+    starts, ways = [], []
     blocks = np.zeros((count, len(BLOCKS)), np.bool_)
     for i in range(count):
         rng = np.random.default_rng([seed, first + i, TASKS.index(task)])
         start, moved = _start(rng, task)
         blocks[i, moved] = True
         starts.append(start)
-        stages += _stages(start, task, moved)
-    states = settled(simulator, [*starts, *stages]) if count else np.empty((0, 63))
-    each = sum(_OBJECTS[task])
-    return Episodes(task, states[:count], states[count:].reshape(count, each, -1), blocks)
+        ways += _way(start, task, moved)
+    states = settled(simulator, [*starts, *ways]) if count else np.empty((0, 63))
+    way = states[count:].reshape(count, 2 * sum(_OBJECTS[task]), -1)
+    return Episodes(task, states[:count], way[:, ::2], way[:, 1::2], blocks)
 
 
 def object_success(task: TaskName, blocks: NDArray[np.bool_], states: Floats) -> NDArray[np.bool_]:
@@ -159,26 +165,31 @@ def _start(rng: np.random.Generator, task: TaskName) -> tuple[Arrangement, list[
     return start, sorted(moved, key=lambda block: -abs(start.blocks[block, 1]))
 
 
-def _stages(start: Arrangement, task: TaskName, moved: list[int]) -> list[Arrangement]:
-    """The arrangement after each object: cubes over a side of the table, then the door.
+def _way(start: Arrangement, task: TaskName, moved: list[int]) -> list[Arrangement]:
+    """Before and after each object: cubes over a side of the table, then the door.
 
-    The arm is where it would be after moving the object.
+    The arm is where it would be before and after moving the object.
     """
-    stages, now = [], start
+    way, now = [], start
     for block in moved:
         blocks = now.blocks.copy()
-        x = blocks[block, 0]
+        x, y, _ = blocks[block]
         side = _side(now, block)
         blocks[block] = (x, side * _fallen(now, x, side), BASE[2] + BLOCK_SIZE / 2)
+        before = (float(x), float(y - side * _BESIDE_BLOCK), _AT_EDGE_Z)
         tip = (float(x), side * _AT_EDGE_Y, _AT_EDGE_Z)
         yaws = now.yaws.copy()
         yaws[block] = 0.0
+        way.append(dataclasses.replace(now, end_effector=before))
         now = dataclasses.replace(now, blocks=blocks, yaws=yaws, end_effector=tip)
-        stages.append(now)
+        way.append(now)
     if _OBJECTS[task][0]:
+        x, y, z = _AT_HANDLE
+        before = (x, min(y + now.door + _BESIDE_HANDLE, WORKSPACE[1, 1]), z)
+        way.append(dataclasses.replace(now, end_effector=before))
         now = dataclasses.replace(now, door=0.0, end_effector=_AT_HANDLE)
-        stages.append(now)
-    return stages
+        way.append(now)
+    return way
 
 
 def _side(now: Arrangement, block: int) -> float:

@@ -1,0 +1,271 @@
+"""The Franka desk: its episodes as trials, its settings."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hvf.envs.desk.pool import DeskPool
+from hvf.envs.desk.rendering import project
+from hvf.envs.desk.simulator import DeskSimulator, DivergenceError, Floats, end_effectors
+from hvf.envs.desk.tasks import MAX_STEPS, TaskName, check_task, make_episodes, object_success
+from hvf.evaluation.acting import Acting, Images, Indices
+from hvf.evaluation.agents import Replanning
+from hvf.evaluation.planning import Planning
+from hvf.evaluation.task import EpisodeTask, Evaluation
+from hvf.worlds import WEIGHTS
+from hvf.worlds.desk import DeskWorldConfig, ModelName, load_desk
+from hvf.worlds.desk_simulator import DeskFrames
+
+_CHECKPOINTS = ("dynamics", "vae")
+
+Preset: TypeAlias = Literal["default", "paper", "simulator"]
+
+
+@dataclasses.dataclass(frozen=True)
+class DeskPlanning(Planning):
+    """How agents plan and act at the desk; see :class:`~hvf.evaluation.planning.Planning`.
+
+    Attributes:
+        horizon: model steps that a plan looks ahead (H).
+        action_repeat: steps that one planned action is held for; the paper plans 5 actions.
+        replan_every: steps of a plan that are acted before the next one is made.
+        keep_better: go on with the rest of a plan as long as no new one has a lower predicted
+            cost: for budgets so small that a good plan may not be found again.
+        steps_per_subgoal: most steps towards one subgoal (T*).
+        steps: steps of a trial (T); None for the task's own limit, 50 or 100.
+    """
+
+    initial: Literal["uniform", "normal"] = "uniform"
+    horizon: int = 15
+    action_repeat: int = 3
+    replan_every: int = 1
+    keep_better: bool = False
+    steps_per_subgoal: int = 20
+    steps: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.steps is not None:
+            self.rule(self.steps)
+
+    @property
+    def replanning(self) -> Replanning:
+        """When to make a new plan."""
+        return Replanning(self.replan_every, self.keep_better, self.warm_start)
+
+    def _actions(self) -> dict[str, Any]:
+        return {"initial": self.initial, "action_repeat": self.action_repeat}
+
+
+@dataclasses.dataclass(frozen=True)
+class DeskEvaluation(Evaluation):
+    """One cell of the results: an agent, a world to plan with, a task.
+
+    The ground-truth subgoals are states on the way; see :meth:`DeskTrials.true_subgoals`.
+
+    Attributes:
+        task: what is to be done: "door", "two_block", "door_block" or "door_two_block".
+        model: what is planned with: learned models, or the true simulator (not for agent hvf: a
+            drawn subgoal has no state that a simulation could start from).
+        dynamics: checkpoint of the learned dynamics; None for the shipped one.
+        vae: checkpoint of the VAE of subgoals; None for the shipped one.
+        planning: how agents plan and act.
+    """
+
+    presets: ClassVar[Mapping[str, Planning]] = {
+        "default": DeskPlanning(),
+        "paper": DeskPlanning(initial="normal"),
+        # What two cores can pay for true dynamics: short plans, few of them, and a blur without
+        # which so few candidates hardly ever come near the thin arm of a goal image.
+        "simulator": DeskPlanning(
+            samples=16,
+            elites=4,
+            iterations=4,
+            keep_elites=2,
+            horizon=6,
+            replan_every=3,
+            keep_better=True,
+            blur=3.0,
+            steps_per_subgoal=12,
+            threshold=5e-3,
+        ),
+    }
+
+    task: TaskName = "door_two_block"
+    model: ModelName = "learned"
+    dynamics: Path | None = None
+    vae: Path | None = None
+    planning: DeskPlanning = DeskPlanning()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_task(self.task)
+        _ = self.world
+        if self.agent == "hvf" and self.model == "simulator":
+            raise ValueError(
+                "agent: 'hvf' needs model='learned': no simulation can start from a drawn subgoal"
+            )
+
+    @property
+    def name(self) -> str:
+        """What is evaluated, in a few words."""
+        world = "" if self.agent == "random" else f", {self.model}"
+        return f"desk {self.task}: {self.agent_name}{world}"
+
+    @property
+    def acting(self) -> Acting:
+        """The rule of acting."""
+        return self.planning.rule(self.planning.steps or MAX_STEPS[self.task])
+
+    @property
+    def world(self) -> DeskWorldConfig:
+        """What to plan with."""
+        return DeskWorldConfig(
+            # Acting at random needs no model.
+            model="simulator" if self.agent == "random" else self.model,
+            blur=self.planning.blur,
+            over_horizon=self.planning.over_horizon,
+            dynamics=self.dynamics,
+            vae=self.vae,
+        )
+
+
+class DeskTrials:
+    """Episodes ``first..first + count`` of a task, side by side, in the true simulator.
+
+    Args:
+        pool: draws the images; its image size ``S`` is theirs.
+        seed: seed of the episodes.
+        first: number of the first.
+        count: how many, ``B``.
+        task: name of the task.
+
+    Attributes:
+        states: where they are, float64 ``[B, 63]``.
+        episodes: where they begin and should end.
+    """
+
+    def __init__(self, pool: DeskPool, seed: int, first: int, count: int, task: TaskName) -> None:
+        self.pool = pool
+        self.simulator = DeskSimulator()
+        self.episodes = make_episodes(self.simulator, task, seed, first, count)
+        self.states = self.episodes.starts.copy()
+        self._seed, self._first = seed, first
+        self._taken = np.zeros(count, np.int64)
+        self._goals = pool.render(self.episodes.goals)
+
+    @property
+    def goals(self) -> Images:
+        """Goal images, uint8 ``[B, S, S, 3]``."""
+        return self._goals
+
+    def __len__(self) -> int:
+        """Return the number of episodes, ``B``."""
+        return len(self.states)
+
+    def observe(self, which: Indices) -> Images:
+        """Return images of the desks now."""
+        return self.pool.render(self.states[which])
+
+    def frames(self, which: Indices) -> DeskFrames:
+        """Return images and states of the desks now."""
+        return DeskFrames(self.observe(which), self.states[which])
+
+    def step(self, which: Indices, actions: NDArray[np.float32]) -> None:
+        """Apply ``actions[N, 3]`` for 0.2 s.
+
+        Raises:
+            DivergenceError: a simulation diverged; names seed, episode and step.
+        """
+        try:
+            self.states[which] = self.simulator.step(self.states[which], actions)
+        except DivergenceError as error:
+            trial = which[error.which[0]]
+            step = int(self._taken[trial])
+            where = f"seed {self._seed}, episode {self._first + trial}, step {step}"
+            message = f"the simulation diverged: {where}"
+            raise DivergenceError([int(which[n]) for n in error.which], step, message) from error
+        self._taken[which] += 1
+
+    def success(self, which: Indices) -> NDArray[np.bool_]:
+        """Return whether everything is where the task wants it."""
+        blocks, states = self.episodes.blocks[which], self.states[which]
+        objects = object_success(self.episodes.task, blocks, states)
+        return np.asarray(objects.all(axis=1))
+
+    def true_subgoals(self, count: int) -> Images:
+        """Return images of states on the way, ``[B, count, S, S, 3]``.
+
+        These are the states after each of the task's ``J`` objects but the last. Where that is
+        fewer than asked for, also those in which the finger is beside each object, ready to push
+        it: ``2 J - 1`` in all. They are chosen evenly; beyond that, the last is repeated.
+        """
+        stages, approaches = self.episodes.stages, self.episodes.approaches
+        way = stages[:, :-1]
+        if count > way.shape[1]:
+            both = np.stack([approaches, stages], axis=2)
+            way = both.reshape(len(self), -1, stages.shape[-1])[:, :-1]
+        most = way.shape[1]
+        # All of them, or the middle ones of equal parts.
+        chosen = np.minimum(np.arange(count), most - 1)
+        if count < most:
+            chosen = (np.arange(1, count + 1) * (most + 1)) // (count + 1) - 1
+        images = self.pool.render(way[:, chosen].reshape(-1, stages.shape[-1]))
+        return images.reshape(len(self), count, *images.shape[1:])
+
+    def positions(self, states: Floats) -> Floats:
+        """Return where the fingertips of ``states[N, 63]`` are in the images, pixels."""
+        return project(end_effectors(states), self.pool.image_size)
+
+    def target(self, trial: int) -> None:
+        """Return nothing: the fingertip may end anywhere."""
+
+
+class DeskTask(EpisodeTask[DeskTrials]):
+    """An evaluation at the desk with its models loaded, and processes to simulate and draw in.
+
+    Args:
+        evaluation: what to evaluate.
+        workers: processes, 0 for as many as there are cores; results do not depend on it.
+
+    Raises:
+        FileNotFoundError: models that are not there.
+        RuntimeError: no OpenGL; names the Debian package to install.
+    """
+
+    evaluation: DeskEvaluation
+
+    def __init__(self, evaluation: DeskEvaluation, workers: int = 0) -> None:
+        world = evaluation.world
+        self.pool = DeskPool(workers)
+        try:
+            loaded, generator = load_desk(world, self.pool)
+            told = world.model == "simulator"
+            super().__init__(evaluation, loaded, generator, _checkpoints(world), told)
+        except BaseException:
+            self.pool.close()
+            raise
+
+    def trials(self, first: int, count: int) -> DeskTrials:
+        """Fresh trials of episodes ``first..first + count``."""
+        evaluation = self.evaluation
+        return DeskTrials(self.pool, evaluation.seed, first, count, evaluation.task)
+
+    def close(self) -> None:
+        """Stop the processes."""
+        self.pool.close()
+
+
+def _checkpoints(world: DeskWorldConfig) -> dict[str, Path]:
+    """The checkpoints that a world is made of; none for the simulator."""
+    if world.model == "simulator":
+        return {}
+    return {
+        name: getattr(world, name) or WEIGHTS / f"desk_{name}.safetensors" for name in _CHECKPOINTS
+    }

@@ -1,0 +1,95 @@
+"""How agents plan and act, in any environment: settings of the planners and of the rule."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal, TypeAlias
+
+import hvf_core
+from hvf.evaluation.acting import Acting
+from hvf.evaluation.agents import Replanning
+
+OverHorizon: TypeAlias = Literal["last", "sum", "min"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Planning:
+    """How agents plan and act. The paper's names are in brackets.
+
+    Attributes:
+        samples: candidate action sequences per iteration (D).
+        elites: of which the best are kept (D*).
+        iterations: iterations of the search for actions.
+        horizon: model steps that a plan looks ahead (H).
+        initial: first distribution of actions: uniform over the box, or normal (the paper's).
+        keep_elites: best candidates that compete again in the next iteration.
+        warm_start: begin each search around the rest of the last plan.
+        blur: standard deviation of a Gaussian blur of frames before they are compared, pixels.
+        over_horizon: predicted frames that count: the last (the paper's), their sum or minimum.
+        subgoal_samples: subgoal samples per iteration (M).
+        subgoal_elites: of which the best are kept (M*).
+        subgoal_iterations: iterations of the search for subgoals.
+        reduction: cost of a sample over its segments: the maximum (the paper's) or the mean.
+        steps_per_subgoal: most steps towards one subgoal (T*).
+        threshold: cost below which a subgoal counts as reached.
+        reached: which cost that is: of the observed frame, or planned.
+    """
+
+    samples: int = 200
+    elites: int = 40
+    iterations: int = 5
+    horizon: int = 5
+    initial: str = "uniform"
+    keep_elites: int = 0
+    warm_start: bool = False
+    blur: float = 0.0
+    over_horizon: OverHorizon = "last"
+    subgoal_samples: int = 200
+    subgoal_elites: int = 40
+    subgoal_iterations: int = 5
+    reduction: Literal["max", "mean"] = "max"
+    steps_per_subgoal: int = 10
+    threshold: float = 1e-3
+    reached: Literal["observed", "planned"] = "observed"
+
+    def __post_init__(self) -> None:
+        # The planners check what is theirs.
+        self.rule(1)
+        self.search(1)
+        self.replanning.check(self.horizon)
+
+    def rule(self, steps: int) -> Acting:
+        """The rule of acting, for trials of ``steps`` steps (T)."""
+        return Acting(steps, self.steps_per_subgoal, self.threshold, self.reached)
+
+    @property
+    def mpc(self) -> hvf_core.VisualMPC:
+        """Search for actions."""
+        return hvf_core.VisualMPC(
+            horizon=self.horizon,
+            samples=self.samples,
+            elites=self.elites,
+            iterations=self.iterations,
+            keep_elites=self.keep_elites,
+            **self._actions(),
+        )
+
+    def search(self, subgoals: int) -> hvf_core.HVF:
+        """Search for subgoals."""
+        return hvf_core.HVF(
+            mpc=self.mpc,
+            subgoals=subgoals,
+            samples=self.subgoal_samples,
+            elites=self.subgoal_elites,
+            iterations=self.subgoal_iterations,
+            reduction=self.reduction,
+        )
+
+    @property
+    def replanning(self) -> Replanning:
+        """When to make a new plan."""
+        return Replanning(warm_start=self.warm_start)
+
+    def _actions(self) -> dict[str, Any]:
+        """What the search for actions is told of an environment's actions."""
+        return {"initial": self.initial}
