@@ -24,7 +24,15 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Collect episodes of the Franka desk under random actions.",
     ),
     "train dynamics": ("hvf.cli.train:dynamics", "Train the compact dynamics model."),
+    "train desk-dynamics": (
+        "hvf.cli.train:desk_dynamics",
+        "Train the compact dynamics model of the desk.",
+    ),
     "train subgoals": ("hvf.cli.train:subgoals", "Train the paper's CVAE of subgoal images."),
+    "train desk-subgoals": (
+        "hvf.cli.train:desk_subgoals",
+        "Train the paper's VAE of subgoal images of the desk.",
+    ),
     "train keypoint-generator": (
         "hvf.cli.train:keypoint_generator",
         "Train the generator of subgoals for the compact dynamics model.",
