@@ -136,8 +136,8 @@ def test_the_hand_pays_in_full_for_going_too_far_or_back() -> None:
     frames = torch.zeros(3, 2, 32, 32, 3, dtype=torch.uint8)
     actions = torch.full((3, 1, 1), 0.5)
     loss, _ = hand.loss({"frames": frames, "actions": actions}, torch.Generator(), 0)
-    # 0.2 too far; 0.3 short at a fifth of the price; 0.4 back, and 0.9 short.
-    assert float(loss.detach()) == pytest.approx((0.2 + 0.2 * 0.3 + 0.4 + 0.2 * 0.9) / 3, rel=1e-5)
+    # 0.2 too far; 0.3 short, at 0.6 of the price; 0.4 back, and 0.9 short.
+    assert float(loss.detach()) == pytest.approx((0.2 + 0.6 * 0.3 + 0.4 + 0.6 * 0.9) / 3, rel=1e-5)
 
 
 def test_closed_form_cost_is_that_of_the_drawn_frame(world: DeskLearnedWorld, data: Path) -> None:

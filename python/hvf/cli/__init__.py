@@ -41,6 +41,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "hvf.cli.train:temporal_distance",
         "Train the learned distance in steps, a planning cost.",
     ),
+    "probe desk": (
+        "hvf.cli.probe:desk",
+        "Errors of the desk's dynamics model, in images and in millimetres.",
+    ),
     "export weights": ("hvf.cli.export:weights", "Copy a trained model at half its size."),
     "eval maze": ("hvf.cli.evaluate:maze", "Success of an agent in the maze, with its interval."),
     "results maze": ("hvf.cli.results:maze", "Evaluations in a folder as a Markdown table."),

@@ -48,7 +48,7 @@ class HandConfig:
     action_dim: int = 3
     channels: tuple[int, ...] = (16, 32, 32, 64)
     hidden: int = 128
-    shortfall: float = 0.2
+    shortfall: float = 0.6
     drawing: float = 0.05
 
     def __post_init__(self) -> None:
