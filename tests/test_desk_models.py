@@ -17,6 +17,7 @@ from hvf.protocols import Observer, RolloutSharer, WorldModel
 
 torch = pytest.importorskip("torch")
 
+from hvf.evaluation.desk_models import psnr, ssim  # noqa: E402
 from hvf.models.checkpoint import load_model  # noqa: E402
 from hvf.models.cvae import CVAEConfig  # noqa: E402
 from hvf.models.hand import Hand, HandConfig  # noqa: E402
@@ -256,6 +257,29 @@ def test_bad_input_is_named(world: DeskLearnedWorld, data: Path, tmp_path: Path)
         dataclasses.replace(TINY, patch=5)
     with pytest.raises(ValueError, match="episodes must be at most 20"):
         DeskStates(data, world.dynamics, 21)
+
+
+def test_image_measures_agree_with_their_definitions() -> None:
+    rng = np.random.default_rng(4)
+    truth = rng.integers(0, 256, (2, 1, 14, 13, 3), dtype=np.uint8)
+    guess = (0.7 * truth + 60 * rng.random(truth.shape)).astype(np.uint8)
+    mse = ((guess / 255.0 - truth / 255.0) ** 2).mean(axis=(2, 3, 4))
+    np.testing.assert_allclose(psnr(guess, truth), 10 * np.log10(1 / mse))
+    assert ssim(truth, truth) == pytest.approx(np.ones((2, 1)))
+    line = np.exp(-0.5 * ((np.arange(11) - 5) / 1.5) ** 2)
+    window = np.outer(line, line) / line.sum() ** 2
+    expected = []
+    for colour in range(3):
+        a, b = guess[1, 0, ..., colour] / 255.0, truth[1, 0, ..., colour] / 255.0
+        for i in range(4):
+            for j in range(3):
+                x, y = a[i : i + 11, j : j + 11], b[i : i + 11, j : j + 11]
+                mx, my = (window * x).sum(), (window * y).sum()
+                vx, vy = (window * (x - mx) ** 2).sum(), (window * (y - my) ** 2).sum()
+                both = (window * (x - mx) * (y - my)).sum()
+                value = (2 * mx * my + 1e-4) * (2 * both + 9e-4)
+                expected.append(value / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4)))
+    assert ssim(guess, truth)[1, 0] == pytest.approx(np.mean(expected), rel=1e-9)
 
 
 def _images(data: Path) -> NDArray[np.uint8]:

@@ -28,6 +28,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "hvf.cli.train:desk_dynamics",
         "Train the compact dynamics model of the desk.",
     ),
+    "train desk-dynamics-large": (
+        "hvf.cli.train:desk_dynamics_large",
+        "The same at a size for a GPU.",
+    ),
     "train subgoals": ("hvf.cli.train:subgoals", "Train the paper's CVAE of subgoal images."),
     "train desk-subgoals": (
         "hvf.cli.train:desk_subgoals",

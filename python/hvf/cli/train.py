@@ -6,7 +6,11 @@ from typing import Annotated
 
 import tyro
 
-from hvf.training.desk_dynamics import DeskDynamicsTraining, train_desk_dynamics
+from hvf.training.desk_dynamics import (
+    DeskDynamicsTraining,
+    LargeDeskDynamicsTraining,
+    train_desk_dynamics,
+)
 from hvf.training.dynamics import DynamicsTraining, train_dynamics
 from hvf.training.keypoint_generator import GeneratorTraining, train_keypoint_generator
 from hvf.training.subgoals import DeskSubgoalTraining, SubgoalTraining, train_subgoals
@@ -23,6 +27,16 @@ def dynamics(config: Annotated[DynamicsTraining, tyro.conf.arg(name="")]) -> Non
 
 def desk_dynamics(config: Annotated[DeskDynamicsTraining, tyro.conf.arg(name="")]) -> None:
     """Train the compact dynamics model of the Franka desk.
+
+    Ctrl-C stops; the same command goes on from there.
+    """
+    train_desk_dynamics(config)
+
+
+def desk_dynamics_large(
+    config: Annotated[LargeDeskDynamicsTraining, tyro.conf.arg(name="")],
+) -> None:
+    """Train the compact dynamics model of the Franka desk at a size for a GPU.
 
     Ctrl-C stops; the same command goes on from there.
     """

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from hvf.data.loader import EpisodePool, WindowSampler
 from hvf.models.frames import to_frames, to_unit
-from hvf.models.hand import Hand
+from hvf.models.hand import Hand, HandConfig
 from hvf.models.parts import Parts
 from hvf.models.parts_dynamics import PartsDynamics, PartsDynamicsConfig
 from hvf.training.desk_states import DeskSampler, DeskStates
@@ -29,6 +29,30 @@ _MEAN_STRIDE = 10
 # Validation: windows of this many steps from each held-out episode, and how many are drawn.
 _HORIZON = 15
 _SHOWN = 10
+
+_HAND_LOOP = LoopConfig(
+    steps=4000,
+    learning_rate=2e-3,
+    schedule="cosine",
+    warmup_steps=100,
+    clip_norm=1.0,
+    precision="float32",
+    validate_every=1000,
+    checkpoint_every=500,
+    threads=1,
+)
+# Positions in pixels need all of float32's digits, on a GPU too.
+_LOOP = LoopConfig(
+    steps=12_000,
+    learning_rate=2e-3,
+    schedule="cosine",
+    warmup_steps=200,
+    clip_norm=5.0,
+    precision="float32",
+    validate_every=2000,
+    checkpoint_every=1000,
+    threads=1,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,29 +85,8 @@ class DeskDynamicsTraining:
     pairs: int = 48
     apart: int = 30
     model: PartsDynamicsConfig = PartsDynamicsConfig()
-    hand_loop: LoopConfig = LoopConfig(
-        steps=4000,
-        learning_rate=1e-3,
-        schedule="cosine",
-        warmup_steps=100,
-        clip_norm=1.0,
-        precision="float32",
-        validate_every=1000,
-        checkpoint_every=500,
-        threads=1,
-    )
-    # Positions in pixels need all of float32's digits, on a GPU too.
-    loop: LoopConfig = LoopConfig(
-        steps=12_000,
-        learning_rate=2e-3,
-        schedule="cosine",
-        warmup_steps=200,
-        clip_norm=5.0,
-        precision="float32",
-        validate_every=2000,
-        checkpoint_every=1000,
-        threads=1,
-    )
+    hand_loop: LoopConfig = _HAND_LOOP
+    loop: LoopConfig = _LOOP
 
     def __post_init__(self) -> None:
         for name in ("episodes", "hand_batch", "windows", "length", "pairs", "apart"):
@@ -91,6 +94,28 @@ class DeskDynamicsTraining:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not (math.isfinite(self.memory_gb) and self.memory_gb > 0):
             raise ValueError(f"memory_gb must be positive, got {self.memory_gb}")
+
+
+@dataclasses.dataclass(frozen=True)
+class LargeDeskDynamicsTraining(DeskDynamicsTraining):
+    """Training at a size for a GPU; see :class:`DeskDynamicsTraining`."""
+
+    out: Path = Path("runs/desk_dynamics_large")
+    episodes: int = 20_000
+    memory_gb: float = 8.0
+    hand_batch: int = 256
+    windows: int = 1024
+    pairs: int = 256
+    model: PartsDynamicsConfig = PartsDynamicsConfig(
+        hand=HandConfig(channels=(32, 64, 64, 128), hidden=512),
+        hidden=256,
+        memory=16,
+        part_features=256,
+        hand_features=512,
+        patch_rank=64,
+    )
+    hand_loop: LoopConfig = dataclasses.replace(_HAND_LOOP, steps=20_000, threads=0)
+    loop: LoopConfig = dataclasses.replace(_LOOP, steps=60_000, threads=0)
 
 
 def train_desk_dynamics(
