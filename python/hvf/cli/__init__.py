@@ -24,7 +24,19 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Collect episodes of the Franka desk under random actions.",
     ),
     "train dynamics": ("hvf.cli.train:dynamics", "Train the compact dynamics model."),
+    "train desk-dynamics": (
+        "hvf.cli.train:desk_dynamics",
+        "Train the compact dynamics model of the desk.",
+    ),
+    "train desk-dynamics-large": (
+        "hvf.cli.train:desk_dynamics_large",
+        "The same at a size for a GPU.",
+    ),
     "train subgoals": ("hvf.cli.train:subgoals", "Train the paper's CVAE of subgoal images."),
+    "train desk-subgoals": (
+        "hvf.cli.train:desk_subgoals",
+        "Train the paper's VAE of subgoal images of the desk.",
+    ),
     "train keypoint-generator": (
         "hvf.cli.train:keypoint_generator",
         "Train the generator of subgoals for the compact dynamics model.",
@@ -32,6 +44,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "train temporal-distance": (
         "hvf.cli.train:temporal_distance",
         "Train the learned distance in steps, a planning cost.",
+    ),
+    "probe desk": (
+        "hvf.cli.probe:desk",
+        "Errors of the desk's dynamics model, in images and in millimetres.",
     ),
     "export weights": ("hvf.cli.export:weights", "Copy a trained model at half its size."),
     "eval maze": ("hvf.cli.evaluate:maze", "Success of an agent in the maze, with its interval."),

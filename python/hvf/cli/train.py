@@ -6,9 +6,14 @@ from typing import Annotated
 
 import tyro
 
+from hvf.training.desk_dynamics import (
+    DeskDynamicsTraining,
+    LargeDeskDynamicsTraining,
+    train_desk_dynamics,
+)
 from hvf.training.dynamics import DynamicsTraining, train_dynamics
 from hvf.training.keypoint_generator import GeneratorTraining, train_keypoint_generator
-from hvf.training.subgoals import SubgoalTraining, train_subgoals
+from hvf.training.subgoals import DeskSubgoalTraining, SubgoalTraining, train_subgoals
 from hvf.training.temporal_distance import TemporalDistanceTraining, train_temporal_distance
 
 
@@ -20,8 +25,34 @@ def dynamics(config: Annotated[DynamicsTraining, tyro.conf.arg(name="")]) -> Non
     train_dynamics(config)
 
 
+def desk_dynamics(config: Annotated[DeskDynamicsTraining, tyro.conf.arg(name="")]) -> None:
+    """Train the compact dynamics model of the Franka desk.
+
+    Ctrl-C stops; the same command goes on from there.
+    """
+    train_desk_dynamics(config)
+
+
+def desk_dynamics_large(
+    config: Annotated[LargeDeskDynamicsTraining, tyro.conf.arg(name="")],
+) -> None:
+    """Train the compact dynamics model of the Franka desk at a size for a GPU.
+
+    Ctrl-C stops; the same command goes on from there.
+    """
+    train_desk_dynamics(config)
+
+
 def subgoals(config: Annotated[SubgoalTraining, tyro.conf.arg(name="")]) -> None:
     """Train the conditional variational autoencoder that draws subgoal images of the maze.
+
+    Ctrl-C stops; the same command goes on from there.
+    """
+    train_subgoals(config)
+
+
+def desk_subgoals(config: Annotated[DeskSubgoalTraining, tyro.conf.arg(name="")]) -> None:
+    """Train the variational autoencoder that draws subgoal images of the Franka desk.
 
     Ctrl-C stops; the same command goes on from there.
     """

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from rich.console import Console
 
 import hvf_core
 from hvf.data.loader import EpisodePool, PairSampler
-from hvf.models.cvae import CVAE, CVAEConfig, gaussian_kl
+from hvf.models.cvae import CVAE, DESK_VAE, CVAEConfig, gaussian_kl
 from hvf.models.frames import to_frames, to_unit
 from hvf.training.loop import LoopConfig, Validation, seeded, train
 from hvf.training.pictures import frame_grid
@@ -36,11 +36,14 @@ class SubgoalTraining:
     Attributes:
         data: file of episodes (``hvf collect maze``).
         out: directory of the run; a run that is already there is continued.
-        batch_size: pairs of images per step; each image is reconstructed in the scene of the other.
+        batch_size: pairs of images per step; each image is reconstructed in the scene of the
+            other; without a scene the first of each pair is.
         memory_gb: memory for decoded frames.
         model: the network and its loss.
         loop: how to optimise.
     """
+
+    environment: ClassVar[str] = "maze"
 
     data: Path
     out: Path = Path("runs/subgoals")
@@ -58,8 +61,18 @@ class SubgoalTraining:
             raise ValueError(f"memory_gb must be positive, got {self.memory_gb}")
 
 
+@dataclasses.dataclass(frozen=True)
+class DeskSubgoalTraining(SubgoalTraining):
+    """Training of the desk's VAE (``hvf collect desk``); see :class:`SubgoalTraining`."""
+
+    environment: ClassVar[str] = "desk"
+
+    out: Path = Path("runs/desk_subgoals")
+    model: CVAEConfig = DESK_VAE
+
+
 def train_subgoals(config: SubgoalTraining, console: Console | None = None) -> CVAE:
-    """Train the maze's CVAE, or go on with the run in ``config.out``.
+    """Train the maze's CVAE or the desk's VAE, or go on with the run in ``config.out``.
 
     Raises:
         FileNotFoundError: no data file.
@@ -68,13 +81,15 @@ def train_subgoals(config: SubgoalTraining, console: Console | None = None) -> C
         KeyboardInterrupt: stopped; the same call goes on from there.
     """
     seed = config.loop.seed
-    pool = EpisodePool(config.data, environment="maze", memory_gb=config.memory_gb, seed=seed)
+    environment = config.environment
+    pool = EpisodePool(config.data, environment=environment, memory_gb=config.memory_gb, seed=seed)
     size = pool.frames.shape[2:4]
     if size != config.model.image_size:
         raise ValueError(
             f"{config.data}: frames are {size}, the model takes {config.model.image_size}"
         )
-    held_out = EpisodePool(config.data, "validation", environment="maze", seed=seed)
+    probe = maze_probe if environment == "maze" else None
+    held_out = EpisodePool(config.data, "validation", environment=environment, seed=seed)
     pairs = PairSampler(held_out, _PAIRS, seed).batch(0)
     pool.move_to(0)
     frames = torch.from_numpy(pool.frames[:, ::_MEAN_STRIDE].reshape(-1, *pool.frames.shape[2:]))
@@ -83,14 +98,14 @@ def train_subgoals(config: SubgoalTraining, console: Console | None = None) -> C
         PairSampler(pool, config.batch_size, seed),
         config.loop,
         config.out,
-        environment="maze",
+        environment=environment,
         run={
-            "command": "hvf train subgoals",
+            "command": "hvf train subgoals" if environment == "maze" else "hvf train desk-subgoals",
             "batch_size": config.batch_size,
             "memory_gb": config.memory_gb,
             "data": dataclasses.asdict(pool.metadata),
         },
-        validate=lambda model, generator: validate_subgoals(model, pairs, generator, maze_probe),
+        validate=lambda model, generator: validate_subgoals(model, pairs, generator, probe),
         console=console,
     )
 

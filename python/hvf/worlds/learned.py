@@ -5,7 +5,7 @@ Perception runs in torch, rollouts and costs in Rust (`hvf_core.KeypointWorld`).
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import torch
@@ -140,8 +140,17 @@ class KeypointSubgoals:
         return scene.moved(to_frames(images).numpy(), keypoints.numpy())
 
 
+class Seen(Protocol):
+    """Frames of a world that keeps the images they come from."""
+
+    @property
+    def images(self) -> NDArray[np.uint8]:
+        """Images uint8 `[N, S, S, 3]`."""
+        ...
+
+
 class ImageSubgoals:
-    """Subgoal images drawn by the paper's CVAE (`hvf.protocols.SubgoalModel`).
+    """Subgoal images drawn by the paper's CVAE or VAE (`hvf.protocols.SubgoalModel`).
 
     Goes with any world that can `observe` images.
     """
@@ -154,12 +163,12 @@ class ImageSubgoals:
         """Latent dimensions of one image."""
         return self.cvae.config.latent_dim
 
-    def decode(
-        self, scene: hvf_core.KeypointFrames | hvf_core.MazeFrames, latents: NDArray[np.float32]
-    ) -> NDArray[np.uint8]:
+    def decode(self, scene: Seen, latents: NDArray[np.float32]) -> NDArray[np.uint8]:
         """Images uint8 `[M * K, S, S, 3]` for `latents [M, K, L]` in the scene of `scene [1]`."""
         count = latents.shape[0] * latents.shape[1]
         with torch.inference_mode():
             flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
-            images = self.cvae.decode(flat, to_unit(torch.from_numpy(scene.images)))
+            conditional = self.cvae.config.conditional
+            start = to_unit(torch.from_numpy(scene.images)) if conditional else None
+            images = self.cvae.decode(flat, start)
         return to_frames(images).numpy()
