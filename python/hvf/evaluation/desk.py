@@ -246,6 +246,8 @@ class DeskTask(EpisodeTask[DeskTrials]):
         self.pool = DeskPool(workers)
         try:
             loaded, generator = load_desk(world, self.pool)
+            if evaluation.agent == "hvf" and generator is None:
+                raise FileNotFoundError("vae: the package ships no VAE of the desk; name one")
             told = world.model == "simulator"
             super().__init__(evaluation, loaded, generator, _checkpoints(world), told)
         except BaseException:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Model = TypeVar("Model", bound="torch.nn.Module")
 
-__all__ = ["WEIGHTS", "DeskModels", "MazeWorldConfig", "load_desk_learned", "load_maze"]
+__all__ = ["WEIGHTS", "MazeWorldConfig", "load_maze"]
 
 WEIGHTS = Path(str(files("hvf"))) / "weights"
 """Directory of the weights that the package ships."""
@@ -124,39 +124,3 @@ def _load_learned(
         assert learned is not None
         subgoals = KeypointSubgoals(load("keypoint_generator", KeypointGenerator), learned)
     return world, subgoals
-
-
-@dataclass(frozen=True)
-class DeskModels:
-    """Which learned models to plan the desk with.
-
-    Attributes:
-        dynamics: checkpoint of the dynamics; None for the one that ships.
-        vae: checkpoint of the VAE that draws subgoals; None for the one that ships.
-        device: where to run the dynamics, as torch names it.
-    """
-
-    dynamics: Path | None = None
-    vae: Path | None = None
-    device: str = "cpu"
-
-
-def load_desk_learned(config: DeskModels) -> tuple[WorldModel[Any], SubgoalModel[Any]]:
-    """The learned world and the subgoal generator of the desk. Does not need MuJoCo.
-
-    Raises:
-        FileNotFoundError: a checkpoint that is not there.
-        ValueError: a checkpoint of another model or environment.
-    """
-    from hvf.models.checkpoint import load_model
-    from hvf.models.cvae import CVAE
-    from hvf.models.parts_dynamics import PartsDynamics
-    from hvf.worlds.desk_learned import DeskLearnedWorld
-    from hvf.worlds.learned import ImageSubgoals
-
-    dynamics = config.dynamics or WEIGHTS / "desk_dynamics.safetensors"
-    vae = config.vae or WEIGHTS / "desk_vae.safetensors"
-    world = DeskLearnedWorld(
-        load_model(dynamics, PartsDynamics, environment="desk", device=config.device)
-    )
-    return world, ImageSubgoals(load_model(vae, CVAE, environment="desk"))

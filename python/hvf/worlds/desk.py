@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 from hvf.protocols import SubgoalModel, WorldModel
+from hvf.worlds import WEIGHTS
 
 if TYPE_CHECKING:
     from hvf.envs.desk.pool import DeskPool
 
 ModelName: TypeAlias = Literal["learned", "simulator"]
 OverHorizon: TypeAlias = Literal["last", "sum", "min"]
-
-_LEARNED = "hvf.worlds.desk_learned"
 
 
 @dataclass(frozen=True)
@@ -46,12 +43,17 @@ class DeskWorldConfig:
             raise ValueError(f"model: must be one of {words}; got {self.model!r}")
         check_blur(self.blur)
         check_over_horizon(self.over_horizon)
+        if self.model == "learned" and (self.blur or self.over_horizon != "last"):
+            raise ValueError(
+                "blur, over_horizon: the learned model compares last frames without a blur, got "
+                f"{self.blur} and {self.over_horizon!r}"
+            )
 
 
 def load_desk(
     config: DeskWorldConfig, pool: DeskPool
 ) -> tuple[WorldModel[Any], SubgoalModel[Any] | None]:
-    """The world model of the desk, and what draws subgoals in it: nothing, for the simulator.
+    """The world model of the desk, and what draws subgoals in it: nothing, where there is no VAE.
 
     Args:
         config: which.
@@ -65,12 +67,18 @@ def load_desk(
         from hvf.worlds.desk_simulator import DeskSimulatorWorld
 
         return DeskSimulatorWorld(pool, config.blur, config.over_horizon), None
-    if importlib.util.find_spec(_LEARNED) is None:
-        raise FileNotFoundError(
-            "model: there are no weights of a learned model of the desk; plan with 'simulator'"
-        )
-    world, generator = importlib.import_module(_LEARNED).load_desk_learned(config)
-    return world, generator
+    from hvf.models.checkpoint import load_model
+    from hvf.models.cvae import CVAE
+    from hvf.models.parts_dynamics import PartsDynamics
+    from hvf.worlds.desk_learned import DeskLearnedWorld
+    from hvf.worlds.learned import ImageSubgoals
+
+    dynamics = config.dynamics or WEIGHTS / "desk_dynamics.safetensors"
+    world = DeskLearnedWorld(load_model(dynamics, PartsDynamics, environment="desk"))
+    vae = config.vae or WEIGHTS / "desk_vae.safetensors"
+    if config.vae is None and not vae.exists():
+        return world, None
+    return world, ImageSubgoals(load_model(vae, CVAE, environment="desk"))
 
 
 def check_blur(blur: float) -> None:
