@@ -259,7 +259,7 @@ def test_a_bad_blur_is_refused(pool: DeskPool, blur: float) -> None:
 
 
 def test_learned_models_that_are_not_there_are_one_clear_error(pool: DeskPool) -> None:
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(FileNotFoundError, match=r"no/such|no weights"):
         load_desk(DeskWorldConfig(dynamics=Path("no/such.safetensors")), pool)
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
+from hvf import worlds
 from hvf.protocols import SubgoalModel, WorldModel
 
 if TYPE_CHECKING:
@@ -16,8 +15,6 @@ if TYPE_CHECKING:
 
 ModelName: TypeAlias = Literal["learned", "simulator"]
 OverHorizon: TypeAlias = Literal["last", "sum", "min"]
-
-_LEARNED = "hvf.worlds.desk_learned"
 
 
 @dataclass(frozen=True)
@@ -59,17 +56,26 @@ def load_desk(
 
     Raises:
         FileNotFoundError: a checkpoint that is not there.
-        ValueError: a checkpoint of another model or environment.
+        ValueError: a checkpoint of another model or environment, or a cost that the learned model
+            does not have.
     """
     if config.model == "simulator":
         from hvf.worlds.desk_simulator import DeskSimulatorWorld
 
         return DeskSimulatorWorld(pool, config.blur, config.over_horizon), None
-    if importlib.util.find_spec(_LEARNED) is None:
+    # The learned models need torch and weights; a package without them still has the simulator.
+    learned = vars(worlds)
+    if "load_desk_learned" not in learned:
         raise FileNotFoundError(
             "model: there are no weights of a learned model of the desk; plan with 'simulator'"
         )
-    world, generator = importlib.import_module(_LEARNED).load_desk_learned(config)
+    if config.blur or config.over_horizon != "last":
+        # Its cost has a closed form, for the last frame as it is.
+        raise ValueError(
+            "blur, over_horizon: a learned model of the desk compares last frames only"
+        )
+    models = learned["DeskModels"](dynamics=config.dynamics, vae=config.vae)
+    world, generator = learned["load_desk_learned"](models)
     return world, generator
 
 
