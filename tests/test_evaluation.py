@@ -16,9 +16,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import hvf_core
 from hvf.cli import main
 from hvf.evaluation import Acting, Decision, MazeEvaluation, MazePlanning, Outcome, Trial, act
 from hvf.evaluation.acting import derived_seed
+from hvf.evaluation.agents import NoSubgoals, PlanningAgent, Replanning
 from hvf.evaluation.evaluate import evaluate, load, wilson_interval
 from hvf.evaluation.maze import MazeTrials
 from hvf.evaluation.pictures import save_film, save_strip
@@ -147,6 +149,85 @@ def test_planning_beats_chance_and_warm_starts_work() -> None:
     chance = successes(agent="random")
     assert successes(agent="none") > chance
     assert successes(agent="none", warm_start=True) > chance
+
+
+class Road:
+    """A world of places on a line: a plan costs its distance to the goal, plus `toll` a call."""
+
+    action_low = np.array([-2.0], np.float32)
+    action_high = np.array([2.0], np.float32)
+
+    def __init__(self, toll: float = 0.0) -> None:
+        self.toll = toll
+        self.asked = 0
+
+    def rollout_costs(
+        self, starts: np.ndarray, goals: np.ndarray, actions: np.ndarray
+    ) -> np.ndarray:
+        self.asked += 1
+        here, there = (frames[:, 0, 0, 0].astype(np.float32) for frames in (starts, goals))
+        ends = here[:, None] + actions[..., 0].sum(axis=2)
+        return (ends - there[:, None]) ** 2 + self.toll * self.asked
+
+
+MPC = hvf_core.VisualMPC(horizon=4, samples=20, elites=5, iterations=1)
+
+
+def decide(
+    agent: PlanningAgent, targets: Sequence[int], which: Sequence[int] = (0,)
+) -> list[np.ndarray]:
+    """Actions of trials that stand still, towards a target at each step, with the step as seed."""
+    agent.subgoals(Line([0] * len(which)), [0])
+    count = len(which)
+    return [
+        agent.act(
+            np.array(which), images([20] * count), images([target] * count), [step] * count
+        ).actions[0]
+        for step, target in enumerate(targets)
+    ]
+
+
+def test_a_plan_is_acted_for_as_many_steps_as_asked() -> None:
+    world = Road()
+    actions = decide(PlanningAgent(world, MPC, NoSubgoals(), Replanning(every=3)), [25] * 5)
+    assert world.asked == 2
+    plans = [MPC.plan(Road(), images([20]), images([25]), seed=seed).actions for seed in (0, 3)]
+    np.testing.assert_array_equal(actions, [*plans[0][:3], *plans[1][:2]])
+
+
+def test_a_new_target_gets_a_new_plan_at_once() -> None:
+    world = Road()
+    actions = decide(PlanningAgent(world, MPC, NoSubgoals(), Replanning(every=4)), [25, 25, 15])
+    assert world.asked == 2
+    expected = MPC.plan(Road(), images([20]), images([15]), seed=2).actions[0]
+    np.testing.assert_array_equal(actions[2], expected)
+
+
+def test_a_plan_may_be_kept_to_its_end_while_none_is_better() -> None:
+    # Every later plan costs more by the toll.
+    world = Road(toll=100.0)
+    replanning = Replanning(every=1, keep_better=True)
+    actions = decide(PlanningAgent(world, MPC, NoSubgoals(), replanning), [25] * 6)
+    assert world.asked == 6
+    first = MPC.plan(Road(), images([20]), images([25]), seed=0).actions
+    np.testing.assert_array_equal(actions[:4], first)
+    second = MPC.plan(Road(), images([20]), images([25]), seed=4).actions
+    np.testing.assert_array_equal(actions[4:], second[:2])
+
+
+def test_a_warm_start_after_some_steps_begins_with_the_rest_of_the_plan() -> None:
+    agent = PlanningAgent(Road(), MPC, NoSubgoals(), Replanning(every=3, warm_start=True))
+    actions = decide(agent, [25] * 4)
+    first = MPC.plan(Road(), images([20]), images([25]), seed=0).actions
+    # As it was before its third action; what it lacks at the end is its last action.
+    before = first[[2, 3, 3, 3]]
+    second = MPC.plan(Road(), images([20]), images([25]), seed=3, warm_start=before).actions
+    np.testing.assert_array_equal(actions[3], second[0])
+
+
+def test_more_steps_than_a_plan_has_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"^replan_every: must be from 1 to the horizon 4, got 5"):
+        PlanningAgent(Road(), MPC, NoSubgoals(), Replanning(every=5))
 
 
 def test_true_subgoals_of_hard_episodes_are_the_gaps() -> None:

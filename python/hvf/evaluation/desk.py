@@ -233,6 +233,7 @@ class DeskTask(EpisodeTask[DeskTrials]):
     Args:
         evaluation: what to evaluate.
         workers: processes, 0 for as many as there are cores; results do not depend on it.
+        pool: processes to share with others; the task does not close them.
 
     Raises:
         FileNotFoundError: models that are not there.
@@ -241,9 +242,12 @@ class DeskTask(EpisodeTask[DeskTrials]):
 
     evaluation: DeskEvaluation
 
-    def __init__(self, evaluation: DeskEvaluation, workers: int = 0) -> None:
+    def __init__(
+        self, evaluation: DeskEvaluation, workers: int = 0, pool: DeskPool | None = None
+    ) -> None:
         world = evaluation.world
-        self.pool = DeskPool(workers)
+        self.pool = pool or DeskPool(workers)
+        self._shared = pool is not None
         try:
             loaded, generator = load_desk(world, self.pool)
             if evaluation.agent == "hvf" and generator is None:
@@ -251,7 +255,7 @@ class DeskTask(EpisodeTask[DeskTrials]):
             told = world.model == "simulator"
             super().__init__(evaluation, loaded, generator, _checkpoints(world), told)
         except BaseException:
-            self.pool.close()
+            self.close()
             raise
 
     def trials(self, first: int, count: int) -> DeskTrials:
@@ -260,8 +264,9 @@ class DeskTask(EpisodeTask[DeskTrials]):
         return DeskTrials(self.pool, evaluation.seed, first, count, evaluation.task)
 
     def close(self) -> None:
-        """Stop the processes."""
-        self.pool.close()
+        """Stop the processes, unless they are shared."""
+        if not self._shared:
+            self.pool.close()
 
 
 def _checkpoints(world: DeskWorldConfig) -> dict[str, Path]:

@@ -61,7 +61,8 @@ def load_desk(
 
     Raises:
         FileNotFoundError: a checkpoint that is not there.
-        ValueError: a checkpoint of another model or environment.
+        ValueError: a checkpoint of another model or environment, or a cost that the learned model
+            does not have.
     """
     if config.model == "simulator":
         from hvf.worlds.desk_simulator import DeskSimulatorWorld

@@ -111,7 +111,7 @@ class DeskSimulatorWorld:
     ) -> NDArray[np.float32]:
         """Planning costs float32 ``[B, D]`` of ``actions[B, D, H, 3]``.
 
-        Squared L2 distance to the goal per pixel and colour, of values from 0 to 1. A candidate
+        Squared L2 distance to the goal per pixel, of three colours from 0 to 1 each. A candidate
         whose simulation diverges costs NaN.
 
         Raises:

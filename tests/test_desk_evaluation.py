@@ -1,0 +1,352 @@
+"""The Franka desk in evaluations: trials, the simulator as a world, agents, commands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="MuJoCo 4 needs Python 3.11")
+
+import hvf_core
+from hvf.cli import main
+from hvf.envs.desk.env import DeskEnv
+from hvf.envs.desk.pool import DeskPool
+from hvf.envs.desk.rendering import project
+from hvf.envs.desk.scene import BLOCKS
+from hvf.envs.desk.simulator import (
+    STEP_LENGTH,
+    DeskSimulator,
+    Floats,
+    block_positions,
+    end_effectors,
+)
+from hvf.envs.desk.tasks import TASKS, TaskName, make_episodes, object_success
+from hvf.evaluation.desk import DeskEvaluation, DeskPlanning, DeskTask, DeskTrials
+from hvf.evaluation.evaluate import load
+from hvf.worlds.desk import DeskWorldConfig, load_desk
+from hvf.worlds.desk_simulator import DeskFrames, DeskSimulatorWorld
+
+SIZE = 32
+SEED = 5
+CHEAP = {
+    "samples": 4,
+    "elites": 2,
+    "iterations": 2,
+    "horizon": 3,
+    "replan_every": 2,
+    "steps": 3,
+}
+
+
+@pytest.fixture(scope="module")
+def pool() -> Iterator[DeskPool]:
+    with DeskPool(2, SIZE) as pool:
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def single() -> Iterator[DeskPool]:
+    with DeskPool(1, SIZE) as pool:
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def simulator() -> DeskSimulator:
+    return DeskSimulator()
+
+
+# ---- trials ------------------------------------------------------------------------------------
+
+
+def test_trials_are_the_episodes_of_the_environment(pool: DeskPool) -> None:
+    trials = DeskTrials(pool, SEED, 3, 2, "door_block")
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (3, 3)).astype(np.float32)
+    both = np.arange(2)
+    first = trials.observe(both)
+    for action in actions:
+        trials.step(both, np.stack([action, -action]))
+    env = DeskEnv("door_block", image_size=SIZE)
+    observation, info = env.reset(seed=SEED, options={"episode": 4})
+    np.testing.assert_array_equal(first[1], observation)
+    np.testing.assert_array_equal(trials.goals[1], info["goal"])
+    for action in actions:
+        observation, _, _, _, info = env.step(-action)
+    env.close()
+    np.testing.assert_array_equal(trials.states[1], info["state"])
+    np.testing.assert_array_equal(trials.observe(both)[1], observation)
+    assert trials.success(both)[1] == info["success"]
+    assert len(trials) == 2
+
+
+def test_a_step_moves_only_the_trials_that_take_it(pool: DeskPool) -> None:
+    trials = DeskTrials(pool, SEED, 0, 3, "door")
+    before = trials.states.copy()
+    trials.step(np.array([2]), np.ones((1, 3), np.float32))
+    np.testing.assert_array_equal(trials.states[:2], before[:2])
+    assert not np.array_equal(trials.states[2], before[2])
+    frames = trials.frames(np.array([2, 0]))
+    np.testing.assert_array_equal(frames.states, trials.states[[2, 0]])
+    np.testing.assert_array_equal(frames.images, trials.observe(np.array([2, 0])))
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_success_is_that_of_the_goal_state(pool: DeskPool, task: TaskName) -> None:
+    trials = DeskTrials(pool, SEED, 0, 2, task)
+    trials.states[0] = trials.episodes.goals[0]
+    assert trials.success(np.arange(2)).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("task", "count", "way"),
+    [
+        ("door", 0, []),
+        ("door", 1, ["before 0"]),
+        ("two_block", 1, ["after 0"]),
+        ("two_block", 3, ["before 0", "after 0", "before 1"]),
+        ("two_block", 4, ["before 0", "after 0", "before 1", "before 1"]),
+        ("door_two_block", 1, ["after 0"]),
+        ("door_two_block", 2, ["after 0", "after 1"]),
+        ("door_two_block", 5, ["before 0", "after 0", "before 1", "after 1", "before 2"]),
+    ],
+)
+def test_true_subgoals_are_states_on_the_way(
+    pool: DeskPool, task: TaskName, count: int, way: list[str]
+) -> None:
+    trials = DeskTrials(pool, SEED, 0, 2, task)
+    subgoals = trials.true_subgoals(count)
+    assert subgoals.shape == (2, count, SIZE, SIZE, 3)
+    for k, words in enumerate(way):
+        when, number = words.split()
+        episodes = trials.episodes
+        states = episodes.approaches if when == "before" else episodes.stages
+        np.testing.assert_array_equal(subgoals[:, k], pool.render(states[:, int(number)]))
+
+
+def test_before_an_object_nothing_has_moved_and_a_straight_push_does_it(
+    simulator: DeskSimulator,
+) -> None:
+    episodes = make_episodes(simulator, "door_two_block", SEED, 0, 6)
+    done = 0
+    for j in range(3):
+        before = episodes.starts if j == 0 else episodes.stages[:, j - 1]
+        states = episodes.approaches[:, j]
+        np.testing.assert_allclose(states[:, 7:9], before[:, 7:9], atol=2e-3)
+        np.testing.assert_allclose(block_positions(states), block_positions(before), atol=5e-3)
+        aim = end_effectors(episodes.stages[:, j])
+        for _ in range(12):
+            move = (aim - end_effectors(states)) / STEP_LENGTH
+            states = simulator.step(states, np.clip(move, -1, 1))
+        wanted = object_success("door_two_block", episodes.blocks, episodes.stages[:, j])
+        found = object_success("door_two_block", episodes.blocks, states)
+        done += int((found | ~wanted).all(axis=1).sum())
+    # A cube may turn away from a push that nobody corrects.
+    assert done >= 15
+
+
+def test_points_are_projected_to_where_they_are_drawn(pool: DeskPool) -> None:
+    states = make_episodes(DeskSimulator(), "door", SEED, 0, 3).starts
+    images = pool.render(states).astype(int)
+    for block, channel in zip(range(len(BLOCKS)), (0, 1, 2), strict=True):
+        places = project(block_positions(states)[:, block], SIZE)
+        for image, (column, row) in zip(images, places, strict=True):
+            others = np.delete(image, channel, axis=2).max(axis=2)
+            rows, columns = np.nonzero(image[:, :, channel] - others > 110)
+            if len(rows) > 4:  # else it is hidden
+                assert np.hypot(columns.mean() - column, rows.mean() - row) < 1.5
+
+
+# ---- the simulator as a world ------------------------------------------------------------------
+
+
+def problems(pool: DeskPool, simulator: DeskSimulator) -> tuple[DeskFrames, DeskFrames, np.ndarray]:
+    """Two problems with three candidates of four steps each."""
+    episodes = make_episodes(simulator, "two_block", SEED, 0, 2)
+    starts = DeskFrames(pool.render(episodes.starts), episodes.starts)
+    goals = DeskSimulatorWorld(pool).observe(pool.render(episodes.goals))
+    actions = np.random.default_rng(1).uniform(-1, 1, (2, 3, 4, 3)).astype(np.float32)
+    return starts, goals, actions
+
+
+def slow_costs(
+    pool: DeskPool, simulator: DeskSimulator, start: Floats, goal: np.ndarray, actions: np.ndarray
+) -> list[float]:
+    """Costs after every step, one desk and one step at a time."""
+    state, costs = start[None], []
+    for action in actions:
+        state = simulator.step(state, action[None])
+        difference = pool.render(state)[0] / 255.0 - goal / 255.0
+        costs.append(float((difference**2).sum(axis=2).mean()))
+    return costs
+
+
+@pytest.mark.parametrize("over_horizon", ["last", "sum", "min"])
+def test_costs_are_those_of_stepping_drawing_and_comparing_one_by_one(
+    pool: DeskPool, simulator: DeskSimulator, over_horizon: str
+) -> None:
+    starts, goals, actions = problems(pool, simulator)
+    world = DeskSimulatorWorld(pool, over_horizon=over_horizon)  # type: ignore[arg-type]
+    costs = world.rollout_costs(starts, goals, actions)
+    assert (costs.shape, costs.dtype) == ((2, 3), np.float32)
+    reduce = {"last": lambda path: path[-1], "sum": sum, "min": min}[over_horizon]
+    for b in range(2):
+        for d in range(3):
+            path = slow_costs(pool, simulator, starts.states[b], goals.images[b], actions[b, d])
+            np.testing.assert_allclose(costs[b, d], reduce(path), rtol=1e-5)
+
+
+def test_costs_may_be_of_blurred_frames(pool: DeskPool, simulator: DeskSimulator) -> None:
+    starts, goals, actions = problems(pool, simulator)
+    costs = DeskSimulatorWorld(pool, blur=2.0).rollout_costs(starts, goals, actions)
+    last, images = pool.rollout(starts.states, actions[:, 1])
+    np.testing.assert_array_equal(images, pool.render(last))
+    expected = hvf_core.image_cost(images, goals.images, blur=2.0)
+    np.testing.assert_allclose(costs[:, 1], expected, rtol=1e-5)
+
+
+def test_one_process_and_two_plan_the_same(
+    pool: DeskPool, single: DeskPool, simulator: DeskSimulator
+) -> None:
+    starts, goals, _ = problems(pool, simulator)
+    mpc = hvf_core.VisualMPC(horizon=3, action_repeat=3, samples=6, elites=2, iterations=2)
+    alone = mpc.plan_batch(DeskSimulatorWorld(single), starts, goals, seeds=[7, 8])
+    together = mpc.plan_batch(DeskSimulatorWorld(pool), starts, goals, seeds=[7, 8])
+    np.testing.assert_array_equal(alone.actions, together.actions)
+    np.testing.assert_array_equal(alone.costs, together.costs)
+
+
+def test_a_candidate_that_diverges_costs_nan_and_spoils_no_other(
+    pool: DeskPool, simulator: DeskSimulator
+) -> None:
+    starts, goals, actions = problems(pool, simulator)
+    world = DeskSimulatorWorld(pool)
+    good = world.rollout_costs(starts, goals, actions)
+    states = starts.states.copy()
+    states[0, 40:] = 1e12
+    costs = world.rollout_costs(DeskFrames(starts.images, states), goals, actions)
+    assert np.isnan(costs[0]).all()
+    np.testing.assert_array_equal(costs[1], good[1])
+
+
+def test_frames_that_do_not_fit_are_refused(pool: DeskPool, simulator: DeskSimulator) -> None:
+    starts, goals, actions = problems(pool, simulator)
+    world = DeskSimulatorWorld(pool)
+    with pytest.raises(ValueError, match=r"^starts: their states are not known"):
+        world.rollout_costs(goals, goals, actions)
+    with pytest.raises(ValueError, match=r"^images: expected shape \[N, 32, 32, 3\]"):
+        world.observe(np.zeros((1, 16, 16, 3), np.uint8))
+    with pytest.raises(TypeError, match=r"^images: must be uint8"):
+        world.observe(np.zeros((1, 32, 32, 3)))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^states: expected shape"):
+        DeskFrames(starts.images, starts.states[:1])
+    with pytest.raises(ValueError, match=r"images: expected shape"):
+        hvf_core.VisualMPC(horizon=3).plan_batch(
+            world, starts, np.zeros((2, 16, 16, 3), np.uint8), seeds=0
+        )
+
+
+@pytest.mark.parametrize("blur", [-1.0, float("nan"), float("inf")])
+def test_a_bad_blur_is_refused(pool: DeskPool, blur: float) -> None:
+    with pytest.raises(ValueError, match=r"^blur: "):
+        DeskSimulatorWorld(pool, blur)
+    with pytest.raises(ValueError, match=r"^blur: "):
+        DeskWorldConfig(blur=blur)
+
+
+def test_learned_models_that_are_not_there_are_one_clear_error(pool: DeskPool) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no/such|no weights"):
+        load_desk(DeskWorldConfig(dynamics=Path("no/such.safetensors")), pool)
+
+
+# ---- evaluations -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"task": "window"}, "^task: "),
+        ({"agent": "clever"}, "^agent: "),
+        ({"agent": "hvf", "model": "simulator"}, "^agent: 'hvf' needs model='learned'"),
+        ({"model": "dream"}, "^model: "),
+        ({"blur": -1.0}, "^blur: "),
+        ({"over_horizon": "first"}, "^over_horizon: "),
+        ({"action_repeat": 4}, "^action_repeat: "),
+        ({"replan_every": 16}, "^replan_every: "),
+        ({"replan_every": 0}, "^replan_every: "),
+        ({"steps": 0}, "^steps: "),
+        ({"initial": "rightward"}, "^initial: "),
+    ],
+)
+def test_settings_out_of_range_are_named(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        DeskEvaluation.of(**settings)
+
+
+def test_settings_are_the_papers_unless_said_otherwise() -> None:
+    paper = DeskEvaluation.of("paper")
+    mpc = paper.planning.mpc
+    assert (mpc.samples, mpc.elites, mpc.iterations) == (200, 40, 5)
+    assert (mpc.horizon, mpc.action_repeat, mpc.initial) == (15, 3, "normal")
+    assert (paper.planning.blur, paper.planning.over_horizon) == (0.0, "last")
+    assert paper.acting.steps_per_subgoal == 20
+    limits = [DeskEvaluation.of(task=task).acting.steps for task in TASKS]
+    assert limits == [50, 50, 100, 100]
+    assert DeskEvaluation.of(planning=DeskPlanning(steps=7)).acting.steps == 7
+
+
+@pytest.mark.parametrize("agent", ["none", "ground-truth", "random"])
+def test_processes_and_neighbours_do_not_change_a_trial(
+    pool: DeskPool, single: DeskPool, agent: str
+) -> None:
+    settings = {"agent": agent, "task": "door", "subgoals": 1, "model": "simulator", **CHEAP}
+    evaluation = DeskEvaluation.of(steps_per_subgoal=1, threshold=0.0, **settings)
+    with DeskTask(evaluation, pool=pool) as task:
+        together = task.run(0, 2)
+    with DeskTask(evaluation, pool=single) as task:
+        alone = [task.run(index, 1).trials[0] for index in range(2)]
+    assert together.trials == alone
+    assert together.decisions == 6
+    if agent == "ground-truth":
+        assert alone[0].switches == (1,)
+
+
+WORDS = [f"--{name.replace('_', '-')}={value}" for name, value in CHEAP.items()]
+WORDS += ["--task", "door", "--model", "simulator", "--workers", "1"]
+
+
+def test_commands_measure_tell_and_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "report.json"
+    assert main(["eval", "desk", "--agent=none", "--trials=1", f"--out={out}", *WORDS]) == 0
+    report = load(out)
+    assert report.config["task"] == "door"
+    assert report.config["planning"]["samples"] == 4
+    assert "workers" not in json.dumps(report.config)
+    assert main(["results", "desk", str(tmp_path)]) == 0
+    header = capsys.readouterr().out.split("| settings")[1].splitlines()[0]
+    assert header.count("door") == 3
+    assert main(["results", "maze", str(tmp_path)]) == 2
+    plan = ["plan", "desk", "--agent=ground-truth", "--subgoals=1", f"--out={tmp_path}", *WORDS]
+    assert main([*plan, "--episode=1"]) == 0
+    assert iio.imread(tmp_path / "episode-1.png").shape[1] > 4 * 64
+    assert len(iio.imread(tmp_path / "episode-1.gif", index=None)) >= 4
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["eval", "desk", "--agent", "none", "--dynamics", "no/such.safetensors"], "hvf eval desk"),
+        (["results", "desk", "no/such"], "folder: "),
+    ],
+)
+def test_a_wrong_value_is_one_line_and_status_2(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.strip().splitlines()) == 1
