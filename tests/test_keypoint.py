@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -17,6 +19,7 @@ from hvf.models.frames import to_unit  # noqa: E402
 from hvf.models.keypoint_dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
 from hvf.models.keypoint_generator import GeneratorConfig, KeypointGenerator  # noqa: E402
 from hvf.models.keypoint_perception import KeypointPerception, PerceptionConfig  # noqa: E402
+from hvf.worlds import MazeWorldConfig, load_maze  # noqa: E402
 from hvf.worlds.learned import KeypointSubgoals, LearnedWorld  # noqa: E402
 
 
@@ -265,3 +268,33 @@ def test_images_of_another_size_are_refused(dynamics):
         world.observe(np.zeros((1, 32, 32, 3), np.uint8))
     with pytest.raises(TypeError, match="uint8"):
         world.observe(np.zeros((1, 64, 64, 3), np.float32))
+
+
+def test_a_search_with_the_shipped_models_does_not_depend_on_the_number_of_threads(
+    outputs_by_threads: Callable[[str], set[str]],
+) -> None:
+    program = (
+        "import numpy as np, torch, hvf_core\n"
+        "from hvf.worlds import MazeWorldConfig, load_maze\n"
+        "torch.set_num_threads(1)\n"
+        "world, generator = load_maze(MazeWorldConfig(blur=3.0, over_horizon='min'))\n"
+        "starts, targets = hvf_core.maze_episodes(0, 0, 1, 'hard')\n"
+        "start = hvf_core.maze_render(starts)[0]\n"
+        "goal = hvf_core.maze_render(np.concatenate([targets, starts[:, 2:]], 1))[0]\n"
+        "hvf = hvf_core.HVF(mpc=hvf_core.VisualMPC(samples=40, elites=8), samples=20, elites=5)\n"
+        "out = hvf.search(world, generator, start, goal)\n"
+        "print(out.cost.hex(), out.latents.tobytes().hex())\n"
+    )
+    assert len(outputs_by_threads(program)) == 1
+
+
+def test_the_shipped_dynamics_predict_the_simulator() -> None:
+    world, _ = load_maze(MazeWorldConfig())
+    images, actions, states = hvf_core.maze_collect(1_000_000_011, 0, 60, 5)
+    path = world.native.rollout(world.observe(images[:, 0]), actions[:, None])[:, 0]
+    # Pixels of 1 cm from the middle of an image that shows 0.64 m.
+    truth = np.stack([32 - 100 * states[:, 1:, 1], 32 + 100 * states[:, 1:, 0]], axis=2) - 0.5
+    missed = np.linalg.norm(path - truth, axis=2)
+    assert np.median(missed[:, 0]) < 0.2
+    assert np.median(missed[:, 4]) < 0.4
+    assert np.mean(missed[:, 4] > 2.5) < 0.12
