@@ -16,7 +16,7 @@ from hvf.data.loader import EpisodePool
 from hvf.models.keypoint_dynamics import KeypointDynamics
 from hvf.models.keypoint_generator import GeneratorConfig, KeypointGenerator
 from hvf.training.loop import LoopConfig, Validation
-from hvf.training.on_keypoints import train_on_keypoints
+from hvf.training.on_keypoints import OnKeypoints, train_on_keypoints
 from hvf.training.pictures import frame_grid
 from hvf.worlds.learned import KeypointSubgoals, LearnedWorld
 
@@ -25,12 +25,10 @@ _SAMPLES = 200
 
 
 @dataclasses.dataclass(frozen=True)
-class GeneratorTraining:
+class GeneratorTraining(OnKeypoints):
     """Training of the keypoint generator.
 
     Attributes:
-        data: file of episodes (``hvf collect maze``).
-        dynamics: trained compact dynamics model (``hvf train dynamics``).
         out: directory of the run; a run that is already there is continued.
         episodes: episodes to learn from.
         batch_size: keypoints per step.
@@ -38,8 +36,6 @@ class GeneratorTraining:
         loop: how to optimise.
     """
 
-    data: Path
-    dynamics: Path = Path("runs/dynamics/model.safetensors")
     out: Path = Path("runs/keypoint_generator")
     episodes: int = 1000
     batch_size: int = 1024

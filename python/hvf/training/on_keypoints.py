@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -20,43 +20,32 @@ from hvf.training.loop import LoopConfig, Sampler, Validation, seeded, train
 from hvf.training.transitions import Transitions
 
 
-class OnKeypoints(Protocol):
-    """What such a training has to know; a frozen dataclass."""
+@dataclasses.dataclass(frozen=True)
+class OnKeypoints:
+    """What such a training has to know.
 
-    @property
-    def data(self) -> Path:
-        """File of episodes."""
-        ...
+    Attributes:
+        data: file of episodes (``hvf collect maze``).
+        dynamics: trained compact dynamics model (``hvf train dynamics``).
+        out: directory of the run; a run that is already there is continued.
+        episodes: episodes to learn from.
+        batch_size: samples per step.
+        model: the network; a dataclass with ``image_size``.
+        loop: how to optimise.
+    """
 
-    @property
-    def dynamics(self) -> Path:
-        """Trained compact dynamics model."""
-        ...
+    data: Path
+    dynamics: Path = Path("runs/dynamics/model.safetensors")
+    out: Path = Path("runs/on_keypoints")
+    episodes: int = 1000
+    batch_size: int = 1024
+    model: Any = None
+    loop: LoopConfig = LoopConfig()
 
-    @property
-    def out(self) -> Path:
-        """Directory of the run."""
-        ...
-
-    @property
-    def episodes(self) -> int:
-        """Episodes to learn from."""
-        ...
-
-    @property
-    def batch_size(self) -> int:
-        """Samples per step."""
-        ...
-
-    @property
-    def model(self) -> Any:
-        """Config of the network; a dataclass with ``image_size``."""
-        ...
-
-    @property
-    def loop(self) -> LoopConfig:
-        """How to optimise."""
-        ...
+    def __post_init__(self) -> None:
+        for name in ("episodes", "batch_size"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
 
 
 ModelT = TypeVar("ModelT", bound=torch.nn.Module)
@@ -89,9 +78,6 @@ def train_on_keypoints(
         ValueError: a damaged or foreign file, or another run in ``config.out``.
         KeyboardInterrupt: stopped; the same call goes on from there.
     """
-    for name in ("episodes", "batch_size"):
-        if getattr(config, name) < 1:
-            raise ValueError(f"{name} must be at least 1, got {getattr(config, name)}")
     console = console or Console()
     seed = config.loop.seed
     dynamics = load_model(config.dynamics, KeypointDynamics, environment="maze")

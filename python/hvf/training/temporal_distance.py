@@ -16,7 +16,7 @@ from hvf.data.loader import EpisodePool
 from hvf.models.keypoint_dynamics import KeypointDynamics
 from hvf.models.temporal_distance import TemporalDistance, TemporalDistanceConfig
 from hvf.training.loop import LoopConfig, Validation
-from hvf.training.on_keypoints import train_on_keypoints
+from hvf.training.on_keypoints import OnKeypoints, train_on_keypoints
 from hvf.training.pictures import frame_grid
 
 _SHOWN = 10
@@ -24,12 +24,10 @@ _PAIRS = 8192
 
 
 @dataclasses.dataclass(frozen=True)
-class TemporalDistanceTraining:
+class TemporalDistanceTraining(OnKeypoints):
     """Training of the temporal distance.
 
     Attributes:
-        data: file of episodes (``hvf collect maze``).
-        dynamics: trained compact dynamics model (``hvf train dynamics``).
         out: directory of the run; a run that is already there is continued.
         episodes: episodes to learn from.
         batch_size: pairs per step.
@@ -37,8 +35,6 @@ class TemporalDistanceTraining:
         loop: how to optimise.
     """
 
-    data: Path
-    dynamics: Path = Path("runs/dynamics/model.safetensors")
     out: Path = Path("runs/temporal_distance")
     episodes: int = 3000
     batch_size: int = 2048
