@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
+from concurrent.futures import wait
 from importlib.metadata import version
 from pathlib import Path
 
@@ -28,8 +29,11 @@ from hvf.envs.desk.simulator import (
     Floats,
     observables,
 )
+from hvf.interrupts import Interrupts
 
 _TRIES = 10
+# Seconds between two looks whether somebody wants the work to stop.
+_PATIENCE = 0.2
 # Episodes that a process steps side by side; inverse kinematics is faster on many arms.
 _SIDE_BY_SIDE = 25
 
@@ -69,7 +73,7 @@ def collect_desk(config: DeskCollectConfig, console: Console | None = None) -> P
         RuntimeError: no OpenGL (names the Debian package), or an episode that diverged ten times.
     """
     console = console or Console()
-    with DeskPool(config.workers, config.image_size) as pool:
+    with DeskPool(config.workers, config.image_size) as pool, Interrupts() as interrupts:
 
         def rollouts(seed: int, first: int, count: int, steps: int) -> Episodes:
             size = max(1, min(_SIDE_BY_SIDE, -(-count // pool.workers)))
@@ -83,6 +87,9 @@ def collect_desk(config: DeskCollectConfig, console: Console | None = None) -> P
                 )
                 for begin in range(first, first + count, size)
             ]
+            while wait(parts, timeout=_PATIENCE).not_done:
+                interrupts.check()
+            interrupts.check()
             made = [part.result() for part in parts]
             for _, diverged in made:
                 for line in diverged:

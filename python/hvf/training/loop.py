@@ -11,18 +11,16 @@ import contextlib
 import dataclasses
 import json
 import math
-import signal
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from types import FrameType
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 import torch
 from rich.console import Console
 
+from hvf.interrupts import Interrupts
 from hvf.models.checkpoint import config_to_json, save_model
 from hvf.training.report import Reporter, Validation
 from hvf.training.state import TrainingState, load_state, save_state
@@ -217,7 +215,7 @@ def train(
 
     with (
         _threads(config.threads),
-        _Interrupts() as interrupts,
+        Interrupts() as interrupts,
         Reporter(out, config.steps, first, console) as report,
         _Prefetch(sampler, first, config.steps) as batches,
     ):
@@ -329,29 +327,6 @@ def _threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-class _Interrupts:
-    """Notes the first Ctrl-C or SIGTERM in ``asked``; the second one interrupts at once."""
-
-    def __init__(self) -> None:
-        self.asked = False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> _Interrupts:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _note(self, _number: int, _frame: FrameType | None) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
 
 
 class _Prefetch:
