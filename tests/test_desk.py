@@ -663,3 +663,18 @@ def test_a_missing_mujoco_is_one_clear_line() -> None:
     assert run.returncode == 1
     assert "needs MuJoCo 4 and Python 3.11" in run.stderr
     assert "Traceback" not in run.stderr
+
+
+def test_torch_can_optimise_after_the_desk_was_drawn() -> None:
+    pytest.importorskip("torch")
+    program = (
+        "import gymnasium, hvf\n"
+        "environment = gymnasium.make('hvf/FrankaDesk-v0', task='door')\n"
+        "environment.reset(seed=0)\n"
+        "import torch\n"
+        "layer = torch.nn.Linear(1, 1)\n"
+        "torch.optim.Adam(layer.parameters()).step()\n"
+        "print('fine')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout == "fine\n", done.stderr

@@ -6,9 +6,11 @@ card where there is one. ``MUJOCO_GL=osmesa`` or ``MUJOCO_GL=egl`` decides other
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import importlib
 import os
+from collections.abc import Iterator
 from typing import Any
 
 # Backend to the names under which its library is found, and the Debian packages that bring it.
@@ -61,7 +63,8 @@ def make_context(width: int, height: int) -> Any:
     """
     name = backend()
     try:
-        context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+        with _symbols_kept_apart():
+            context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
         context.make_current()
     except Exception as error:  # PyOpenGL raises what it likes, down to AttributeError
         raise RuntimeError(
@@ -70,6 +73,21 @@ def make_context(width: int, height: int) -> Any:
             f"(PYOPENGL_PLATFORM={os.environ.get('PYOPENGL_PLATFORM')!r}) cannot change it"
         ) from error
     return context
+
+
+@contextlib.contextmanager
+def _symbols_kept_apart() -> Iterator[None]:
+    """Libraries that PyOpenGL loads in here do not lend their symbols to others.
+
+    PyOpenGL asks for the opposite. Mesa brings a whole LLVM; a library that is loaded later and
+    brings another one, such as Triton's beside torch, would call into Mesa's and crash.
+    """
+    shared = ctypes.RTLD_GLOBAL
+    ctypes.RTLD_GLOBAL = ctypes.RTLD_LOCAL  # type: ignore[misc]
+    try:
+        yield
+    finally:
+        ctypes.RTLD_GLOBAL = shared  # type: ignore[misc]
 
 
 def _installed(name: str) -> bool:
