@@ -1,4 +1,4 @@
-"""Training the compact dynamics of the desk: parts, then the hand, then cell and drawing."""
+"""Training the compact dynamics of the desk: perception without gradient, the arm, then the cell."""
 
 from __future__ import annotations
 
@@ -13,24 +13,26 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from hvf.data.loader import EpisodePool, WindowSampler
+from hvf.models.desk.arm import ArmConfig
+from hvf.models.desk.cell import CellConfig
+from hvf.models.desk.dynamics import DeskDynamics, DeskDynamicsConfig
+from hvf.models.desk.perception import DeskPerception, DeskPerceptionConfig
 from hvf.models.frames import to_frames, to_unit
-from hvf.models.hand import Hand, HandConfig
-from hvf.models.parts import Parts
-from hvf.models.parts_dynamics import PartsDynamics, PartsDynamicsConfig
-from hvf.training.desk_states import DeskSampler, DeskStates
+from hvf.training.desk_tracks import DeskSampler, DeskTracks
 from hvf.training.loop import LoopConfig, Validation, seeded, train
 from hvf.training.pictures import frame_grid
 
 # Colours are found in this many pairs of frames, ten steps apart.
-_PAIRS = 1500
+_PAIRS = 3000
 _APART = 10
-# The mean image is taken over every tenth frame of the pool.
-_MEAN_STRIDE = 10
+# Backdrop and sprites are taken from every tenth frame of the pool.
+_STRIDE = 10
 # Validation: windows of this many steps from each held-out episode, and how many are drawn.
 _HORIZON = 15
 _SHOWN = 10
+_AT_ONCE = 64
 
-_HAND_LOOP = LoopConfig(
+_ARM_LOOP = LoopConfig(
     steps=4000,
     learning_rate=2e-3,
     schedule="cosine",
@@ -43,7 +45,7 @@ _HAND_LOOP = LoopConfig(
 )
 # Positions in pixels need all of float32's digits, on a GPU too.
 _LOOP = LoopConfig(
-    steps=12_000,
+    steps=20_000,
     learning_rate=2e-3,
     schedule="cosine",
     warmup_steps=200,
@@ -55,6 +57,14 @@ _LOOP = LoopConfig(
 )
 
 
+_LARGE = DeskDynamicsConfig(
+    perception=DeskPerceptionConfig(
+        arm=ArmConfig(channels=(32, 64, 64, 128), hidden=512, features=256, patch_rank=48)
+    ),
+    cell=CellConfig(hand_hidden=64, part_hidden=256, memory=8),
+)
+
+
 @dataclasses.dataclass(frozen=True)
 class DeskDynamicsTraining:
     """Training of the compact dynamics of the desk.
@@ -62,34 +72,29 @@ class DeskDynamicsTraining:
     Attributes:
         data: file of episodes (``hvf collect desk``).
         out: directory of the run; a run that is already there is continued.
-        episodes: episodes that cell and drawing learn from.
-        memory_gb: memory for decoded frames while the hand is trained; keeping every third frame
-            for the drawing takes 0.42 MB an episode more.
-        hand_batch: pairs of frames per step while the hand is trained.
+        episodes: episodes that the cell learns from.
+        memory_gb: memory for decoded frames while perception is trained.
+        arm_batch: pairs of frames per step while the arm is trained.
         windows: stretches of states per step while the cell is trained.
         length: steps in a stretch.
-        pairs: pairs of frames per step while the drawing is trained.
-        apart: most steps between them.
         model: the networks.
-        hand_loop: how to optimise the hand's perception.
-        loop: how to optimise cell and drawing.
+        arm_loop: how to optimise encoder and drawing of the arm.
+        loop: how to optimise the cell.
     """
 
     data: Path
     out: Path = Path("runs/desk_dynamics")
-    episodes: int = 6000
-    memory_gb: float = 1.0
-    hand_batch: int = 64
+    episodes: int = 3000
+    memory_gb: float = 2.0
+    arm_batch: int = 48
     windows: int = 128
     length: int = 15
-    pairs: int = 48
-    apart: int = 30
-    model: PartsDynamicsConfig = PartsDynamicsConfig()
-    hand_loop: LoopConfig = _HAND_LOOP
+    model: DeskDynamicsConfig = DeskDynamicsConfig()
+    arm_loop: LoopConfig = _ARM_LOOP
     loop: LoopConfig = _LOOP
 
     def __post_init__(self) -> None:
-        for name in ("episodes", "hand_batch", "windows", "length", "pairs", "apart"):
+        for name in ("episodes", "arm_batch", "windows", "length"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not (math.isfinite(self.memory_gb) and self.memory_gb > 0):
@@ -101,27 +106,19 @@ class LargeDeskDynamicsTraining(DeskDynamicsTraining):
     """Training at a size for a GPU; see :class:`DeskDynamicsTraining`."""
 
     out: Path = Path("runs/desk_dynamics_large")
-    episodes: int = 20_000
+    episodes: int = 9000
     memory_gb: float = 8.0
-    hand_batch: int = 256
+    arm_batch: int = 256
     windows: int = 1024
-    pairs: int = 256
-    model: PartsDynamicsConfig = PartsDynamicsConfig(
-        hand=HandConfig(channels=(32, 64, 64, 128), hidden=512),
-        hidden=256,
-        memory=16,
-        part_features=256,
-        hand_features=512,
-        patch_rank=64,
-    )
-    hand_loop: LoopConfig = dataclasses.replace(_HAND_LOOP, steps=20_000, threads=0)
+    model: DeskDynamicsConfig = _LARGE
+    arm_loop: LoopConfig = dataclasses.replace(_ARM_LOOP, steps=20_000, threads=0)
     loop: LoopConfig = dataclasses.replace(_LOOP, steps=60_000, threads=0)
 
 
 def train_desk_dynamics(
     config: DeskDynamicsTraining, console: Console | None = None
-) -> PartsDynamics:
-    """Train perception, cell and drawing, or go on with the run in ``config.out``.
+) -> DeskDynamics:
+    """Train perception and cell, or go on with the run in ``config.out``.
 
     Raises:
         FileNotFoundError: no data file.
@@ -132,82 +129,93 @@ def train_desk_dynamics(
     console = console or Console()
     seed = config.loop.seed
     held_out = EpisodePool(config.data, "validation", environment="desk", seed=seed)
-    pool = EpisodePool(config.data, environment="desk", memory_gb=config.memory_gb, seed=seed)
-    size = config.model.parts.image_size
-    if pool.frames.shape[2:4] != (size, size):
-        raise ValueError(
-            f"{config.data}: frames are {pool.frames.shape[2:4]}, the model takes {(size, size)}"
-        )
-    if pool.actions.shape[2] != config.model.hand.action_dim:
-        raise ValueError(
-            f"{config.data}: actions have {pool.actions.shape[2]} dimensions, "
-            f"the model's {config.model.hand.action_dim}"
-        )
     held_out.move_to(0)
-    pool.move_to(0)
     run: dict[str, Any] = {
         "command": "hvf train desk-dynamics",
-        "data": dataclasses.asdict(pool.metadata),
+        "data": dataclasses.asdict(held_out.metadata),
         "memory_gb": config.memory_gb,
-        "hand_batch": config.hand_batch,
+        "arm_batch": config.arm_batch,
     }
-    console.print("parts: colours of what changes")
-    parts = find_parts(Parts(config.model.parts), pool, seed)
-    console.print("hand: what an action moves")
-    frames = torch.from_numpy(pool.frames[:, ::_MEAN_STRIDE].reshape(-1, *pool.frames.shape[2:]))
-    hand = train(
-        seeded(seed, lambda: Hand(config.model.hand)).centre(frames),
-        WindowSampler(pool, config.hand_batch, 1, seed),
-        config.hand_loop,
-        config.out / "hand",
-        environment="desk",
-        run=run,
-        validate=lambda model, _: validate_hand(model, held_out),
-        console=console,
-    )
-    training = pool.metadata.episodes - len(held_out)
-    pool.close()
-    del pool, frames
-    console.print("cell and drawing: how hand and parts move, and what they look like")
-    model = seeded(seed, lambda: PartsDynamics(config.model)).freeze_perception(parts, hand)
-    data = DeskStates(config.data, model, min(config.episodes, training), console=console)
-    model.fit_states(torch.from_numpy(data.states).flatten(0, 1))
+    perception = _train_perception(config, held_out, run, console)
+    console.print("cell: how hand, sliders and parts move")
+    model = seeded(seed, lambda: DeskDynamics(config.model)).freeze_perception(perception)
+    training = held_out.metadata.episodes - len(held_out)
+    tracks = DeskTracks(config.data, perception, min(config.episodes, training), console=console)
+    model.fit_contact(*map(torch.from_numpy, tracks.contacts()))
     return train(
         model,
-        DeskSampler(data, config.windows, config.length, config.pairs, config.apart, seed),
+        DeskSampler(tracks, config.windows, config.length, seed),
         config.loop,
         config.out,
         environment="desk",
         run={
             **run,
-            **{
-                name: getattr(config, name)
-                for name in ("episodes", "windows", "length", "pairs", "apart")
-            },
-            "hand_steps": config.hand_loop.steps,
+            **{name: getattr(config, name) for name in ("episodes", "windows", "length")},
+            "arm_steps": config.arm_loop.steps,
         },
         validate=lambda trained, _: validate_desk_dynamics(trained, held_out),
         console=console,
     )
 
 
-def find_parts(parts: Parts, pool: EpisodePool, seed: int) -> Parts:
-    """Fit ``parts`` to pairs of frames that ``pool`` holds."""
+def _train_perception(
+    config: DeskDynamicsTraining, held_out: EpisodePool, run: dict[str, Any], console: Console
+) -> DeskPerception:
+    seed, size = config.loop.seed, config.model.perception.image_size
+    pool = EpisodePool(config.data, environment="desk", memory_gb=config.memory_gb, seed=seed)
+    if pool.frames.shape[2:4] != (size, size):
+        raise ValueError(
+            f"{config.data}: frames are {pool.frames.shape[2:4]}, the model takes {(size, size)}"
+        )
+    if pool.actions.shape[2] != config.model.perception.arm.action_dim:
+        raise ValueError(
+            f"{config.data}: actions have {pool.actions.shape[2]} dimensions, "
+            f"the model's {config.model.perception.arm.action_dim}"
+        )
+    pool.move_to(0)
+    perception = seeded(seed, lambda: DeskPerception(config.model.perception))
+    console.print("parts and backdrop: colours of what changes, and what is behind")
+    frames = torch.from_numpy(np.ascontiguousarray(pool.frames[:, ::_STRIDE]))
+    with torch.inference_mode():
+        perception.fit(_pairs(pool, seed), frames, seed)
+    del frames
+    console.print("arm: what an action moves, and what that looks like")
+    trained = train(
+        perception,
+        WindowSampler(pool, config.arm_batch, 1, seed),
+        config.arm_loop,
+        config.out / "perception",
+        environment="desk",
+        run=run,
+        validate=lambda model, _: validate_arm(model, held_out),
+        console=console,
+    )
+    pool.close()
+    return trained
+
+
+def _pairs(pool: EpisodePool, seed: int) -> torch.Tensor:
+    """Pairs of frames that ``pool`` holds, uint8 ``[M, 2, S, S, 3]``."""
     rng = np.random.default_rng([seed, len(pool)])
     apart = min(_APART, pool.metadata.steps)
     episode = rng.integers(len(pool), size=_PAIRS)
     time = rng.integers(pool.metadata.steps + 1 - apart, size=_PAIRS)
-    first, second = pool.frames[episode, time], pool.frames[episode, time + apart]
-    return parts.fit(torch.from_numpy(first), torch.from_numpy(second), seed)
+    both = [pool.frames[episode, time], pool.frames[episode, time + apart]]
+    return torch.from_numpy(np.stack(both, axis=1))
 
 
-def validate_hand(model: Hand, held_out: EpisodePool) -> Validation:
+def validate_arm(model: DeskPerception, held_out: EpisodePool) -> Validation:
     """How much of held-out actions the codes show, and how far codes go when they should not.
 
     ``moved`` is the mean motion along an action as a part of the action, ``back`` the mean motion
     against it, ``beyond`` that beyond it, in full actions; one number per action dimension.
+    ``psnr`` is that of frames drawn from their own states. The rows of the picture: true frames, drawn ones.
     """
-    code = _codes(model, held_out.frames[:50])
+    device = model.sprites.device
+    hand = model.config.arm.action_dim
+    episodes = [model.observe(torch.from_numpy(x).to(device)) for x in held_out.frames[:50]]
+    states = torch.stack(episodes).cpu()
+    code = states[..., :hand]
     actions = torch.from_numpy(held_out.actions[:50])
     along = (code[:, 1:] - code[:, :-1]) * actions.sign()
     ratio = along.mean(dim=(0, 1)) / actions.abs().mean(dim=(0, 1))
@@ -220,59 +228,77 @@ def validate_hand(model: Hand, held_out: EpisodePool) -> Validation:
             f"back_{i}": float(back[i]),
             f"beyond_{i}": float(beyond[i]),
         }
-    return Validation(metrics)
+    frames = torch.from_numpy(held_out.frames[:50, :: 2 * _STRIDE]).flatten(0, 1)
+    drawn = []
+    for some in torch.split(frames, _AT_ONCE):
+        scenes = model.imagine(model.observe(some.to(device)))
+        drawn.append(model.draw(scenes, scenes.states).cpu())
+    images = torch.cat(drawn)
+    metrics["psnr"] = _psnr(images, to_unit(frames))
+    shown = torch.arange(0, len(frames), max(1, len(frames) // _SHOWN))[:_SHOWN]
+    rows = [frames[shown].numpy(), to_frames(images[shown]).numpy()]
+    return Validation(metrics, {"drawn": frame_grid(rows, zoom=2)})
 
 
-def _codes(model: Hand, frames: NDArray[np.uint8]) -> torch.Tensor:
-    device = model.mean_image.device
-    parts = [model(torch.from_numpy(episode).to(device)) for episode in frames]
-    return torch.stack(parts).cpu()
-
-
-def validate_desk_dynamics(model: PartsDynamics, held_out: EpisodePool) -> Validation:
-    """Error of predicted states and frames up to 15 steps ahead on held-out episodes.
+def validate_desk_dynamics(model: DeskDynamics, held_out: EpisodePool) -> Validation:
+    """Error of predicted states and frames 15 steps ahead on held-out episodes.
 
     All windows of 15 steps that do not overlap are measured. Parts in pixels (mean distance of
-    centres, over parts of which at least half the usual is seen, and over those of them that moved
-    by more than 2 pixels, beside the distance that they moved), the hand in full actions, frames as
-    PSNR. The rows of the picture: start frames, true frames, predicted frames.
+    their middles, over those of them that are seen whole at both ends and moved by more than 2
+    pixels, beside the distance that they moved), ``gone`` how often a part's presence is right
+    where it was lost or moved, sliders as a part of their way, where they moved by a twentieth,
+    the hand in full actions, frames as PSNR. The rows of the picture: start frames, true frames,
+    predicted frames.
     """
-    device = model.state_mean.device
+    perception = model.perception
+    device = perception.sprites.device
     steps = held_out.actions.shape[1]
     horizon = min(_HORIZON, steps)
     starts = np.arange(0, steps - horizon + 1, horizon)
-    ends = starts + horizon
-    count = len(held_out)
     first = torch.from_numpy(held_out.frames[:, starts]).flatten(0, 1)
-    last = torch.from_numpy(held_out.frames[:, ends]).flatten(0, 1)
-    before = torch.cat([model.observe(part.to(device)) for part in torch.split(first, 256)])
-    truth = torch.cat([model.observe(part.to(device)) for part in torch.split(last, 256)])
+    last = torch.from_numpy(held_out.frames[:, starts + horizon]).flatten(0, 1)
+    before, mass_before = perception.look(first.to(device))
+    truth, mass_after = perception.look(last.to(device))
     index = starts[:, None] + np.arange(horizon)
     actions = torch.from_numpy(held_out.actions[:, index]).flatten(0, 1).to(device)
     path = model.rollout(before, actions, last=True)[:, 0]
-    size = 3 * model.config.parts.parts
-    was, now, guess = (x[:, :size].reshape(len(x), -1, 3) for x in (before, truth, path))
-    seen = (was[..., 0] > 0.5) & (now[..., 0] > 0.5)
-    went = (now - was)[..., 1:].norm(dim=2)
-    error = (guess - now)[..., 1:].norm(dim=2)
-    moved = seen & (went > 2.0)
-    squared = []
-    for i in range(0, len(first), 64):
-        drawn = model.draw(
-            to_unit(first[i : i + 64].to(device)), before[i : i + 64], path[i : i + 64]
-        )
-        wrong = drawn.clamp(0, 1) - to_unit(last[i : i + 64].to(device))
-        squared.append(wrong.square().mean(dim=(1, 2, 3)))
+    _, slid_from, was = perception.split(before)
+    hand_now, slid_to, now = perception.split(truth)
+    hand, slid, guess = perception.split(path)
+    whole = (mass_before > 0.65) & (mass_after > 0.65)
+    went = (now - was)[..., :2].norm(dim=2)
+    error = (guess - now)[..., :2].norm(dim=2)
+    moved = whole & (went > 2.0)
+    slides = (slid_to - slid_from).abs()
     metrics = {
-        "hand": float((path - truth)[:, size:].norm(dim=1).mean()),
-        "parts": float(error[seen].mean()),
-        "still": float(went[seen].mean()),
+        "hand": float((hand - hand_now).norm(dim=1).mean()),
         "moved_parts": float(error[moved].mean()),
         "moved_still": float(went[moved].mean()),
-        "psnr": float(-10 * torch.cat(squared).clamp_min(1e-9).log10().mean()),
+        "still_parts": float(error[whole & (went < 1.0)].mean()),
     }
-    each = max(1, count * len(starts) // _SHOWN)
+    for i in range(slides.shape[1]):
+        slid_far = slides[:, i] > 0.05
+        metrics[f"slider_{i}"] = float((slid - slid_to)[slid_far, i].abs().mean())
+        metrics[f"slider_{i}_still"] = float(slides[slid_far, i].mean())
+    drawn = torch.cat(
+        [
+            perception.draw(perception.scene(some.to(device)), states).cpu()
+            for some, states in zip(
+                torch.split(first, _AT_ONCE), torch.split(path, _AT_ONCE), strict=True
+            )
+        ]
+    )
+    metrics["psnr"] = _psnr(drawn, to_unit(last))
+    each = max(1, len(first) // _SHOWN)
     shown = torch.arange(0, len(first), each)[:_SHOWN]
-    drawn = model.draw(to_unit(first[shown].to(device)), before[shown], path[shown])
-    rows = [first[shown].numpy(), last[shown].numpy(), to_frames(drawn.clamp(0, 1)).cpu().numpy()]
+    rows: list[NDArray[np.uint8]] = [
+        first[shown].numpy(),
+        last[shown].numpy(),
+        to_frames(drawn[shown]).numpy(),
+    ]
     return Validation(metrics, {"predictions": frame_grid(rows, zoom=2)})
+
+
+def _psnr(guess: torch.Tensor, truth: torch.Tensor) -> float:
+    squared = (guess - truth).square().mean(dim=(1, 2, 3))
+    return float(-10 * squared.clamp_min(1e-9).log10().mean())
