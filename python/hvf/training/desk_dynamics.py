@@ -33,7 +33,7 @@ _SHOWN = 10
 _AT_ONCE = 64
 
 _ARM_LOOP = LoopConfig(
-    steps=4000,
+    steps=3000,
     learning_rate=2e-3,
     schedule="cosine",
     warmup_steps=100,

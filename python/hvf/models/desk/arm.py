@@ -40,6 +40,7 @@ class ArmConfig:
         patch_rank: images of one patch; what is drawn is a sum of these.
         shortfall: cost of too little motion, beside 1 for too much.
         drawing: weight of the squared error of drawn pixels.
+        drawing_share: part of its gradient that reaches the encoder.
     """
 
     action_dim: int = 3
@@ -51,6 +52,7 @@ class ArmConfig:
     patch_rank: int = 24
     shortfall: float = 0.6
     drawing: float = 0.05
+    drawing_share: float = 0.1
 
     def __post_init__(self) -> None:
         if not self.channels or min(self.channels) < 1:
@@ -58,7 +60,7 @@ class ArmConfig:
         for name in ("action_dim", "hidden", "waves", "features", "patch", "patch_rank"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("shortfall", "drawing"):
+        for name in ("shortfall", "drawing", "drawing_share"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 
@@ -149,7 +151,9 @@ class Arm(nn.Module):
         short = actions.abs() - along
         held_back = (self.config.shortfall * F.relu(short)).sum(dim=1).mean()
         wrong = (F.relu(-short) + F.relu(-along)).sum(dim=1).mean()
-        drawn, colour = self.draw(code)
+        # Mostly actions shape the code; in full, the drawing's gradient would keep it from growing.
+        share = self.config.drawing_share
+        drawn, colour = self.draw(share * code + (1 - share) * code.detach())
         free = ~hidden[:, None]
         missed = (backdrop * (1 - drawn.clamp(0, 1)) + colour - images) * free
         shape = (drawn[:, 0] - opacity) * free[:, 0]

@@ -145,7 +145,7 @@ class DeskPerception(nn.Module):
         return self.look(frames)[0]
 
     def look(self, frames: Tensor) -> tuple[Tensor, Tensor]:
-        """States `[N, X]` of uint8 `frames [N, S, S, 3]`, and how much is seen of parts `[N, R]`."""
+        """States `[N, X]` of uint8 `frames [N, S, S, 3]`, and the mass of parts `[N, R]`."""
         seen = [self.perceive(some) for some in torch.split(frames, _IMAGES_AT_ONCE)]
         return torch.cat([one.states for one in seen]), torch.cat([one.mass for one in seen])
 
