@@ -1,4 +1,4 @@
-"""Training the compact dynamics of the desk: perception without gradient, the arm, then the cell."""
+"""Training the compact dynamics of the desk: what needs no gradient, the arm, then the cell."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ _PAIRS = 3000
 _APART = 10
 # Backdrop and sprites are taken from every tenth frame of the pool.
 _STRIDE = 10
+_GALLERY_STRIDE = 2
 # Validation: windows of this many steps from each held-out episode, and how many are drawn.
 _HORIZON = 15
 _SHOWN = 10
@@ -79,6 +80,7 @@ class DeskDynamicsTraining:
         arm_batch: pairs of frames per step while the arm is trained.
         windows: stretches of states per step while the cell is trained.
         length: steps in a stretch.
+        short_steps: the first of the cell's steps see more and shorter stretches.
         model: the networks.
         arm_loop: how to optimise encoder and drawing of the arm.
         loop: how to optimise the cell.
@@ -91,6 +93,7 @@ class DeskDynamicsTraining:
     arm_batch: int = 48
     windows: int = 128
     length: int = 15
+    short_steps: int = 12_000
     model: DeskDynamicsConfig = DeskDynamicsConfig()
     arm_loop: LoopConfig = _ARM_LOOP
     loop: LoopConfig = _LOOP
@@ -146,13 +149,16 @@ def train_desk_dynamics(
     model.fit_contact(*map(torch.from_numpy, tracks.contacts()))
     return train(
         model,
-        DeskSampler(tracks, config.windows, config.length, seed),
+        DeskSampler(tracks, config.windows, config.length, config.short_steps, seed),
         config.loop,
         config.out,
         environment="desk",
         run={
             **run,
-            **{name: getattr(config, name) for name in ("episodes", "windows", "length")},
+            **{
+                name: getattr(config, name)
+                for name in ("episodes", "windows", "length", "short_steps")
+            },
             "arm_steps": config.arm_loop.steps,
         },
         validate=lambda trained, _: validate_desk_dynamics(trained, held_out),
@@ -192,6 +198,10 @@ def _train_perception(
         validate=lambda model, _: validate_arm(model, held_out),
         console=console,
     )
+    console.print("gallery: images of the arm")
+    with torch.inference_mode():
+        frames = torch.from_numpy(pool.frames[:, ::_GALLERY_STRIDE]).flatten(0, 1)
+        trained.fit_gallery(frames)
     pool.close()
     return trained
 
@@ -211,7 +221,7 @@ def validate_arm(model: DeskPerception, held_out: EpisodePool) -> Validation:
 
     ``moved`` is the mean motion along an action as a part of the action, ``back`` the mean motion
     against it, ``beyond`` that beyond it, in full actions; one number per action dimension.
-    ``psnr`` is that of frames drawn from their own states. The rows of the picture: true frames, drawn ones.
+    The rows of the picture: true frames, and what is sketched of them.
     """
     device = model.sprites.device
     hand = model.config.arm.action_dim
@@ -231,15 +241,12 @@ def validate_arm(model: DeskPerception, held_out: EpisodePool) -> Validation:
             f"beyond_{i}": float(beyond[i]),
         }
     frames = torch.from_numpy(held_out.frames[:50, :: 2 * _STRIDE]).flatten(0, 1)
-    drawn = []
-    for some in torch.split(frames, _AT_ONCE):
-        scenes = model.imagine(model.observe(some.to(device)))
-        drawn.append(model.draw(scenes, scenes.states).cpu())
-    images = torch.cat(drawn)
-    metrics["psnr"] = _psnr(images, to_unit(frames))
     shown = torch.arange(0, len(frames), max(1, len(frames) // _SHOWN))[:_SHOWN]
-    rows = [frames[shown].numpy(), to_frames(images[shown]).numpy()]
-    return Validation(metrics, {"drawn": frame_grid(rows, zoom=2)})
+    scenes = model.scene(frames[shown].to(device))
+    opacity, colour = model.arm.sketch(scenes.states[:, :hand])
+    drawn = (scenes.image * (1 - opacity.clamp(0, 1)) + colour).clamp(0, 1)
+    rows = [frames[shown].numpy(), to_frames(drawn).cpu().numpy()]
+    return Validation(metrics, {"sketched": frame_grid(rows, zoom=2)})
 
 
 def validate_desk_dynamics(model: DeskDynamics, held_out: EpisodePool) -> Validation:

@@ -15,16 +15,23 @@ import torch
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track as progress
+from scipy.ndimage import maximum_filter1d
 
 from hvf.data.store import EpisodeFile
 from hvf.models.desk.perception import DeskPerception
 
-# As much of a part is seen when its middle can be trusted.
-_TRUSTED = 0.65
+# The middle of a part can be trusted when so much is seen of it, set against the most that is seen
+# of it within so many frames: parts far away are small.
+_TRUSTED, _NEIGHBOURS = 0.85, 21
+# Less than this is nothing.
+_SEEN = 0.25
 # Pixels between two places that are the same, and frames after which a part is gone.
 _SAME_PLACE, _GONE_AFTER = 1.5, 10
-# A part that moved by more pixels in a step was pushed, and by fewer than the second it lies still.
-_PUSHED, _STILL = 1.0, 0.3
+# A part that moved by more pixels was pushed; a slider that moved by more of its way slid.
+_PUSHED, _SLID = 1.0, 0.05
+
+# Steps in a short stretch.
+_SHORT = 2
 
 Floats = NDArray[np.float32]
 
@@ -73,6 +80,7 @@ class DeskTracks:
                 with torch.inference_mode():
                     states, seen = perception.look(torch.from_numpy(frames).to(device))
                 self.states[i], mass[i] = states.cpu().numpy(), seen.cpu().numpy()
+        self.mass = mass
         self.truth = self.states.copy()
         parts = self.truth[..., -3 * config.roaming :].reshape(*mass.shape, 3)
         parts[...], self.known = track(parts, mass)
@@ -94,19 +102,21 @@ class DeskTracks:
         places = parts[episode, time, part, :2] + parts[episode, time + 1, part, :2]
         return 0.5 * (hands[episode, time] + hands[episode, time + 1]), 0.5 * places
 
-    def eventful(self, length: int) -> NDArray[np.int64]:
-        """Windows of ``length`` steps in which a slider or a part moves: ``[N, 2]``.
+    def pushed(self, length: int) -> NDArray[np.int64]:
+        """Windows of ``length`` steps in which a part moves or falls: ``[N, 2]``.
 
         Each is an episode and a first frame.
         """
-        sliders = self.truth[..., self.hand.stop : self.parts.start]
-        changes = np.abs(sliders[:, length:] - sliders[:, :-length]).max(axis=2) > 0.05
         parts = self.truth[..., self.parts].reshape(*self.known.shape, 3)
         certain = (self.known[:, length:] > 0) & (self.known[:, :-length] == 2)
         gone = self.known[:, length:] == 1
         moved = np.linalg.norm(parts[:, length:, :, :2] - parts[:, :-length, :, :2], axis=3)
-        changes |= (certain & (gone | (moved > 2 * _PUSHED))).any(axis=2)
-        return np.argwhere(changes)
+        return np.argwhere((certain & (gone | (moved > _PUSHED))).any(axis=2))
+
+    def slid(self, length: int) -> NDArray[np.int64]:
+        """Windows of ``length`` steps in which a slider moves, as :meth:`pushed`."""
+        sliders = self.truth[..., self.hand.stop : self.parts.start]
+        return np.argwhere((np.abs(sliders[:, length:] - sliders[:, :-length]) > _SLID).any(axis=2))
 
 
 def track(parts: Floats, mass: Floats) -> tuple[Floats, NDArray[np.uint8]]:
@@ -119,7 +129,8 @@ def track(parts: Floats, mass: Floats) -> tuple[Floats, NDArray[np.uint8]]:
     Returns:
         The same as known in hindsight, and what is known of it: see :class:`DeskTracks`.
     """
-    seen = mass > _TRUSTED
+    most = maximum_filter1d(mass, _NEIGHBOURS, axis=1, mode="nearest")
+    seen = mass > np.maximum(_TRUSTED * most, _SEEN)
     steps = parts.shape[1]
     before, after = parts[..., :2].copy(), parts[..., :2].copy()
     since, until = np.zeros(seen.shape, np.int64), np.zeros(seen.shape, np.int64)
@@ -151,18 +162,25 @@ def track(parts: Floats, mass: Floats) -> tuple[Floats, NDArray[np.uint8]]:
 
 
 class DeskSampler:
-    """Stretches of states with their actions; half of them are such in which something moves.
+    """Stretches of states with their actions.
+
+    In a third of them a part is pushed, and in a sixth something slides. Short stretches teach the
+    most in the least time, and long ones what errors do to what comes after: the first part of all
+    steps sees many stretches of two steps, the rest sees fewer that are long.
 
     Batches are what :meth:`hvf.models.desk.dynamics.DeskDynamics.loss` takes.
 
     Args:
         tracks: recorded episodes.
-        windows: stretches per step.
-        length: steps in a stretch, ``H``.
+        windows: long stretches per step.
+        length: steps in a long stretch, ``H``.
+        short_steps: training steps that see short stretches.
         seed: of the draws.
     """
 
-    def __init__(self, tracks: DeskTracks, windows: int, length: int, seed: int) -> None:
+    def __init__(
+        self, tracks: DeskTracks, windows: int, length: int, short_steps: int, seed: int
+    ) -> None:
         steps = tracks.actions.shape[1]
         if not 1 <= length <= steps:
             raise ValueError(f"length must be from 1 to {steps}, got {length}")
@@ -170,19 +188,30 @@ class DeskSampler:
             raise ValueError(f"windows must be at least 1, got {windows}")
         self._tracks = tracks
         self._windows, self._length, self._seed = windows, length, seed
-        self._eventful = tracks.eventful(length)
+        self._short_steps = short_steps
+        self._events = {
+            steps: (tracks.pushed(steps), tracks.slid(steps))
+            for steps in {min(_SHORT, length), length}
+        }
 
     def batch(self, step: int) -> Mapping[str, torch.Tensor]:
         """The batch of training step ``step``, a function of (seed, step)."""
+        length, windows = self._length, self._windows
+        if step < self._short_steps:
+            length = min(_SHORT, length)
+            windows = windows * self._length // length
         tracks, rng = self._tracks, np.random.default_rng([self._seed, step])
         episodes, steps = tracks.actions.shape[:2]
-        episode = rng.integers(episodes, size=(self._windows, 1))
-        start = rng.integers(steps - self._length + 1, size=(self._windows, 1))
-        if len(self._eventful):
-            half = self._windows // 2
-            chosen = self._eventful[rng.integers(len(self._eventful), size=half)]
-            episode[:half], start[:half] = chosen[:, :1], chosen[:, 1:]
-        times = start + np.arange(self._length + 1)
+        episode = rng.integers(episodes, size=(windows, 1))
+        start = rng.integers(steps - length + 1, size=(windows, 1))
+        first = 0
+        for events, share in zip(self._events[length], (3, 6), strict=True):
+            if len(events):
+                places = slice(first, first + windows // share)
+                chosen = events[rng.integers(len(events), size=windows // share)]
+                episode[places], start[places] = chosen[:, :1], chosen[:, 1:]
+                first = places.stop
+        times = start + np.arange(length + 1)
         states = tracks.truth[episode, times]
         known = tracks.known[episode, times]
         # A rollout begins with what is seen. Where that is wrong, its end says nothing.

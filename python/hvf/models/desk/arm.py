@@ -6,8 +6,8 @@ action. A hand that is held back (at the border of its workspace, where most ver
 moves less than asked, never more and never back; so too little motion costs little, too much or
 motion the other way costs in full.
 
-From the code alone the arm is drawn, as colour and opacity before the backdrop. That is what
-planning draws, and it keeps in the code what actions hardly show: the height.
+From the code alone the arm is sketched, as colour and opacity before the backdrop, which keeps in
+the code what actions hardly show: the height. Planning draws it sharper (:mod:`gallery`).
 
 Letters in shapes: `N` frames, `S` image size, `A` action dimensions.
 """
@@ -35,12 +35,12 @@ class ArmConfig:
         channels: of the encoder's 3x3 convolutions of stride 2.
         hidden: width of fully connected layers.
         waves: each coordinate of the code is also seen as sines and cosines of as many wavelengths.
-        features: numbers from which patches are drawn.
-        patch: pixels on each side of the patches that the arm is drawn of.
-        patch_rank: images of one patch; what is drawn is a sum of these.
+        features: numbers from which patches are sketched.
+        patch: pixels on each side of the patches that the arm is sketched of.
+        patch_rank: images of one patch; a sketch is a sum of these.
         shortfall: cost of too little motion, beside 1 for too much.
-        drawing: weight of the squared error of drawn pixels.
-        drawing_share: part of its gradient that reaches the encoder.
+        sketch: weight of the squared error of sketched pixels.
+        sketch_share: part of its gradient that reaches the encoder.
     """
 
     action_dim: int = 3
@@ -51,8 +51,8 @@ class ArmConfig:
     patch: int = 8
     patch_rank: int = 24
     shortfall: float = 0.6
-    drawing: float = 0.05
-    drawing_share: float = 0.1
+    sketch: float = 0.05
+    sketch_share: float = 0.1
 
     def __post_init__(self) -> None:
         if not self.channels or min(self.channels) < 1:
@@ -60,13 +60,13 @@ class ArmConfig:
         for name in ("action_dim", "hidden", "waves", "features", "patch", "patch_rank"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("shortfall", "drawing", "drawing_share"):
+        for name in ("shortfall", "sketch", "sketch_share"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 
 
 class Arm(nn.Module):
-    """Encoder and drawing of the arm; see the module's documentation."""
+    """Encoder and sketch of the arm; see the module's documentation."""
 
     def __init__(self, config: ArmConfig, image_size: int) -> None:
         super().__init__()
@@ -116,7 +116,7 @@ class Arm(nn.Module):
         code: Tensor = self.encoder(2.0 * seen)
         return code
 
-    def draw(self, code: Tensor) -> tuple[Tensor, Tensor]:
+    def sketch(self, code: Tensor) -> tuple[Tensor, Tensor]:
         """Opacity `[N, 1, S, S]` and colour times opacity `[N, 3, S, S]` of a hand at `code`."""
         config = self.config
         scales = 0.5 * torch.pi * 2.0 ** torch.arange(config.waves, device=code.device)
@@ -128,15 +128,10 @@ class Arm(nn.Module):
         drawn = cells.permute(0, 3, 1, 4, 2, 5).reshape(-1, 4, self.image_size, self.image_size)
         return drawn[:, :1], drawn[:, 1:]
 
-    def over(self, images: Tensor, code: Tensor) -> Tensor:
-        """`images [N, 3, S, S]` with an arm whose hand is at `code [N, A]` before them."""
-        opacity, colour = self.draw(code)
-        return images * (1 - opacity.clamp(0, 1)) + colour
-
     def loss(
         self, images: Tensor, backdrop: Tensor, hidden: Tensor, actions: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """How far codes are from moving with the action, and drawn arms from seen ones.
+        """How far codes are from moving with the action, and sketched arms from seen ones.
 
         Args:
             images: pairs of frames a step apart, one after the other: `[2N, 3, S, S]` in [0, 1].
@@ -151,14 +146,14 @@ class Arm(nn.Module):
         short = actions.abs() - along
         held_back = (self.config.shortfall * F.relu(short)).sum(dim=1).mean()
         wrong = (F.relu(-short) + F.relu(-along)).sum(dim=1).mean()
-        # Mostly actions shape the code; in full, the drawing's gradient would keep it from growing.
-        share = self.config.drawing_share
-        drawn, colour = self.draw(share * code + (1 - share) * code.detach())
+        # Mostly actions shape the code; in full, the sketch's gradient would keep it from growing.
+        share = self.config.sketch_share
+        drawn, colour = self.sketch(share * code + (1 - share) * code.detach())
         free = ~hidden[:, None]
         missed = (backdrop * (1 - drawn.clamp(0, 1)) + colour - images) * free
         shape = (drawn[:, 0] - opacity) * free[:, 0]
         # The shape too: an arm of the colour of what is behind it still hides what is in between.
         error = missed.square().sum(dim=(1, 2, 3)) + 0.3 * shape.square().sum(dim=(1, 2))
-        loss = held_back + wrong + self.config.drawing * error.mean()
+        loss = held_back + wrong + self.config.sketch * error.mean()
         parts = {"held_back": held_back, "wrong": wrong, "missed": missed.square().mean()}
         return loss, {name: value.detach() for name, value in parts.items()}

@@ -12,7 +12,7 @@ roam, `W` size of a sprite, `X` = A + G + 3R length of a state.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -23,6 +23,7 @@ from torch.nn import functional as F
 from hvf.models.desk.arm import Arm, ArmConfig
 from hvf.models.desk.backdrop import Backdrop, BackdropConfig
 from hvf.models.desk.colours import Colours, ColoursConfig
+from hvf.models.desk.gallery import Gallery, GalleryConfig
 from hvf.models.frames import to_unit
 
 # A mask above this, and what is next to it, is a part and not the backdrop.
@@ -38,6 +39,8 @@ MOVED = 0.5
 # Opacity from which on a drawn part hides what is behind.
 _DRAWN = 0.05
 _IMAGES_AT_ONCE = 64
+# Frames whose codes tell where the hand can be.
+_CODES = 3000
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,8 @@ class DeskPerceptionConfig:
     Attributes:
         colours: how coloured parts are found.
         backdrop: how finely the backdrop is known.
-        arm: encoder and drawing of the arm.
+        arm: encoder of the arm.
+        gallery: how finely the arm's images are known.
         roaming: parts that roam, `R`.
         sprite: pixels on each side of a part's image, odd, `W`.
     """
@@ -55,10 +59,16 @@ class DeskPerceptionConfig:
     colours: ColoursConfig = field(default_factory=ColoursConfig)
     backdrop: BackdropConfig = field(default_factory=BackdropConfig)
     arm: ArmConfig = field(default_factory=ArmConfig)
+    gallery: GalleryConfig = field(default_factory=GalleryConfig)
     roaming: int = 3
     sprite: int = 15
 
     def __post_init__(self) -> None:
+        if self.arm.action_dim != len(self.gallery.places):
+            raise ValueError(
+                f"gallery: made for {len(self.gallery.places)} action dimensions, "
+                f"the arm's are {self.arm.action_dim}"
+            )
         if self.roaming < 1:
             raise ValueError(f"roaming must be at least 1, got {self.roaming}")
         if self.sprite < 3 or self.sprite % 2 == 0:
@@ -129,6 +139,7 @@ class DeskPerception(nn.Module):
         self.colours = Colours(config.colours)
         self.backdrop = Backdrop(config.backdrop, size)
         self.arm = Arm(config.arm, size)
+        self.gallery = Gallery(config.gallery, size)
         self.register_buffer(
             "sprites", torch.zeros(config.roaming, 4, config.sprite, config.sprite)
         )
@@ -199,7 +210,9 @@ class DeskPerception(nn.Module):
         gone = (scenes.regions & moved[..., None, None]).any(dim=1, keepdim=True)
         image = torch.where(gone, backdrop, image)
         shown = torch.cat([parts[..., :2], parts[..., 2:] * moved[..., None]], dim=2)
-        return self.arm.over(self.paste(image, shown), hand).clamp(0, 1)
+        opacity, colour = self.gallery(hand)
+        drawn: Tensor = self.paste(image, shown) * (1 - opacity) + colour
+        return drawn.clamp(0, 1)
 
     def paste(self, images: Tensor, parts: Tensor) -> Tensor:
         """`images [N, 3, S, S]` with `parts [N, R, 3]` before them."""
@@ -224,7 +237,7 @@ class DeskPerception(nn.Module):
         return rows, columns
 
     def fit(self, pairs: Tensor, frames: Tensor, seed: int = 0) -> DeskPerception:
-        """Find everything that is not trained by gradient.
+        """Find everything that is not trained by gradient, but for the gallery.
 
         Args:
             pairs: two frames of an episode each, uint8 `[M, 2, S, S, 3]`.
@@ -269,6 +282,20 @@ class DeskPerception(nn.Module):
                 sums[i] += cut[whole].sum(dim=0)
                 counts[i] += whole.sum()
         self.sprites.copy_(sums / counts.clamp_min(1)[:, None, None, None])
+        return self
+
+    def fit_gallery(self, frames: Tensor) -> DeskPerception:
+        """Take images of the arm from uint8 `frames [N, S, S, 3]`, once its encoder is trained."""
+        hand = slice(0, self.config.arm.action_dim)
+        each = max(1, len(frames) // _CODES)
+
+        def seen() -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
+            for some in torch.split(frames, _IMAGES_AT_ONCE):
+                found = self.perceive(some)
+                hidden = found.regions.any(dim=1)
+                yield found.states[:, hand], found.opacity, to_unit(some), hidden
+
+        self.gallery.fit_grid(self.observe(frames[::each])[:, hand]).fit(seen())
         return self
 
     def loss(
