@@ -32,6 +32,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "hvf.cli.train:desk_dynamics_large",
         "The same at a size for a GPU.",
     ),
+    "train desk-generator": (
+        "hvf.cli.train:desk_generator",
+        "Train the generator of subgoals that draws states of the desk.",
+    ),
     "train subgoals": ("hvf.cli.train:subgoals", "Train the paper's CVAE of subgoal images."),
     "train desk-subgoals": (
         "hvf.cli.train:desk_subgoals",

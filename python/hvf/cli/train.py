@@ -11,6 +11,7 @@ from hvf.training.desk_dynamics import (
     LargeDeskDynamicsTraining,
     train_desk_dynamics,
 )
+from hvf.training.desk_generator import DeskGeneratorTraining, train_desk_generator
 from hvf.training.dynamics import DynamicsTraining, train_dynamics
 from hvf.training.keypoint_generator import GeneratorTraining, train_keypoint_generator
 from hvf.training.subgoals import DeskSubgoalTraining, SubgoalTraining, train_subgoals
@@ -41,6 +42,14 @@ def desk_dynamics_large(
     Ctrl-C stops; the same command goes on from there.
     """
     train_desk_dynamics(config)
+
+
+def desk_generator(config: Annotated[DeskGeneratorTraining, tyro.conf.arg(name="")]) -> None:
+    """Train the generator of subgoals that draws states of the Franka desk.
+
+    Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
+    """
+    train_desk_generator(config)
 
 
 def subgoals(config: Annotated[SubgoalTraining, tyro.conf.arg(name="")]) -> None:
