@@ -191,27 +191,27 @@ class DeskPerception(nn.Module):
         image = torch.where(covered, behind, to_unit(frames))
         return Scene(image, _grown(seen.regions), seen.states)
 
-    def imagine(self, states: Tensor) -> Scene:
-        """Scenes that look as the model draws `states [N, X]`."""
-        _, sliders, parts = self.split(states)
-        image = self.paste(self.backdrop.draw(sliders), parts)
-        rows, columns = self._stamps(parts)
-        drawn = torch.einsum("nryi,rij,nrxj->nryx", rows, self.sprites[:, 0], columns)
-        return Scene(image, drawn * parts[..., 2, None, None] > _DRAWN, states)
-
-    def draw(self, scenes: Scene, states: Tensor) -> Tensor:
-        """Frames `[N, 3, S, S]` in [0, 1] of what `scenes` look like at `states [N, X]`."""
+    def change(self, scenes: Scene, states: Tensor) -> Scene:
+        """What `scenes` become at `states [N, X]`."""
         _, sliders_before, before = self.split(scenes.states)
-        hand, sliders, parts = self.split(states)
+        _, sliders, parts = self.split(states)
         backdrop = self.backdrop.draw(sliders)
         image = scenes.image + backdrop - self.backdrop.draw(sliders_before)
         moved = (parts - before)[..., :2].norm(dim=2) > MOVED
         moved |= (parts - before)[..., 2].abs() > 0.5
-        gone = (scenes.regions & moved[..., None, None]).any(dim=1, keepdim=True)
+        moved = moved[..., None, None]
+        gone = (scenes.regions & moved).any(dim=1, keepdim=True)
         image = torch.where(gone, backdrop, image)
-        shown = torch.cat([parts[..., :2], parts[..., 2:] * moved[..., None]], dim=2)
-        opacity, colour = self.gallery(hand)
-        drawn: Tensor = self.paste(image, shown) * (1 - opacity) + colour
+        shown = torch.cat([parts[..., :2], parts[..., 2:] * moved[..., 0]], dim=2)
+        rows, columns = self._stamps(shown)
+        drawn = torch.einsum("nryi,rij,nrxj->nryx", rows, self.sprites[:, 0], columns)
+        regions = torch.where(moved, drawn * shown[..., 2, None, None] > _DRAWN, scenes.regions)
+        return Scene(self.paste(image, shown).clamp(0, 1), regions, states)
+
+    def draw(self, scenes: Scene, states: Tensor) -> Tensor:
+        """Frames `[N, 3, S, S]` in [0, 1] of what `scenes` look like at `states [N, X]`."""
+        opacity, colour = self.gallery(states[:, : self.config.arm.action_dim])
+        drawn: Tensor = self.change(scenes, states).image * (1 - opacity) + colour
         return drawn.clamp(0, 1)
 
     def paste(self, images: Tensor, parts: Tensor) -> Tensor:
