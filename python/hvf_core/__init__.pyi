@@ -1,5 +1,5 @@
 from collections.abc import Sequence
-from typing import Any, Literal, SupportsIndex, final
+from typing import Any, Literal, SupportsIndex, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -526,3 +526,121 @@ class KeypointWorld:
         """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
     def rollout(self, starts: KeypointFrames, actions: NDArray[np.float32]) -> NDArray[np.float32]:
         """Predicted keypoints float32 `[B, D, H, 2]`, in pixels, of `actions [B, D, H, A]`."""
+
+# --- the desk's learned dynamics model ------------------------------------------------------
+
+_Layer: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+class LayerFrames:
+    """Frames of a `LayerWorld`: images, the same without the arm, where parts are, and states.
+
+    Made by `LayerWorld.frames`. Frames picked with `[]` share memory.
+    """
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: NDArray[np.int64]) -> LayerFrames: ...
+    @property
+    def images(self) -> NDArray[np.uint8]:
+        """The images, uint8 `[N, S, S, 3]` (a copy)."""
+    @property
+    def states(self) -> NDArray[np.float32]:
+        """The states, float32 `[N, X]` (a copy)."""
+
+class LayerWorld:
+    """The desk's learned dynamics model, evaluated in Rust; a world model with actions in [-1, 1].
+
+    `hvf.worlds.desk_learned.DeskLearnedWorld` makes one from a trained
+    `hvf.models.desk.dynamics.DeskDynamics`. The cost is the squared pixel distance of the predicted
+    frame to the goal, per pixel. Costs agree with those of torch to 1e-3 of their value, rollouts
+    of 15 steps to 1e-2 pixels.
+
+    Letters in shapes: `A` = 3 action dimensions, `G` = 2 sliders, `R` parts that roam, `C` length
+    of their memory, `T` size of a tile, `W` size of a sprite, `S` image size, `X` = A + G + 3R
+    length of a state (hand; sliders; row, column and presence of each part).
+    Networks are lists of layers, weights `[outputs, inputs]` and bias `[outputs]` as in
+    `torch.nn.Linear`, with rectified units between.
+
+    Args:
+        hand: from hand, action and sliders (2A + G) to the hand's motion (A).
+        sliders: for each, from sliders, hand, motion and action (G + 3A) to its motion (1).
+        parts: from the hand beside the part, the hand's way, hand, motion, action, the part and its
+            memory (7 + 3A + C) to its motion, change of presence and of memory (3 + C).
+        contact: terms of the pixel where the hand meets parts, float32
+            `[1 + A + A (A + 1) / 2, 2]`.
+        reach: pixels from the hand's way beyond which a part does not move.
+        arm_low: the hand's code at the first place of the grid of the arm's images, A numbers.
+        arm_step: from one place to the next.
+        arm_places: places of the grid in each dimension.
+        arm_patches: opacity and colour times opacity of tiles, uint8 `[M, 4, T, T]`; the first is
+            empty.
+        arm_index: number of the patch in each tile of each place's image, int32
+            `[places, (S / T)**2]`.
+        table: what is behind everything, uint8 `[bins, bins, 3, S, S]` over the sliders' ways.
+        sprites: opacity and colour times opacity of each part, float32 `[R, 4, W, W]`.
+        blur: standard deviation of the Gaussian blur before frames are compared, in pixels.
+        over_horizon: `"last"`, `"sum"` or `"min"` over the predicted frames.
+
+    Raises:
+        ValueError: shapes that do not fit each other, or numbers out of range.
+    """
+
+    def __init__(
+        self,
+        *,
+        hand: Sequence[_Layer],
+        sliders: Sequence[Sequence[_Layer]],
+        parts: Sequence[_Layer],
+        contact: NDArray[np.float32],
+        reach: float,
+        arm_low: Sequence[float],
+        arm_step: Sequence[float],
+        arm_places: Sequence[int],
+        arm_patches: NDArray[np.uint8],
+        arm_index: NDArray[np.int32],
+        table: NDArray[np.uint8],
+        sprites: NDArray[np.float32],
+        blur: float = 0.0,
+        over_horizon: str = "last",
+    ) -> None: ...
+    @property
+    def action_low(self) -> NDArray[np.float32]:
+        """Lowest action, float32 `[A]`."""
+    @property
+    def action_high(self) -> NDArray[np.float32]:
+        """Highest action, float32 `[A]`."""
+    def frames(
+        self,
+        images: NDArray[np.uint8],
+        clean: NDArray[np.float32],
+        regions: NDArray[np.bool_],
+        states: NDArray[np.float32],
+    ) -> LayerFrames:
+        """Frames of this world.
+
+        Args:
+            images: uint8 `[N, S, S, 3]`.
+            clean: the same without the arm, in [0, 1], float32 `[N, S, S, 3]`.
+            regions: where each part is in them, bool `[N, R, S, S]`.
+            states: float32 `[N, X]`.
+
+        Raises:
+            ValueError: shapes that do not fit each other or the world, or numbers that are not
+                finite.
+        """
+    def rollout_costs(
+        self, starts: LayerFrames, goals: LayerFrames, actions: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
+    def shared_rollout_costs(
+        self, start: LayerFrames, goals: LayerFrames, actions: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Planning costs float32 `[B, D]` of `actions [D, H, A]` from one start for every goal.
+
+        Those of `rollout_costs`, to the last bit.
+        """
+    def rollout(self, starts: LayerFrames, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Predicted states float32 `[B, D, H, X]` of `actions [B, D, H, A]`."""
+    def draw(self, starts: LayerFrames, states: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Frames float32 `[N, S, S, 3]` in [0, 1]: what `starts` look like at `states [N, X]`."""
+    def predict(self, starts: LayerFrames, actions: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Predicted frames uint8 `[N, H, S, S, 3]` of `actions [N, H, A]`."""

@@ -8,6 +8,8 @@
 pub mod error;
 pub mod image;
 pub mod keypoint;
+pub mod lanes;
+pub mod layers;
 pub mod maze;
 pub mod planner;
 

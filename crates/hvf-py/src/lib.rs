@@ -4,6 +4,7 @@
 mod costs;
 mod error;
 mod keypoint;
+mod layers;
 mod maze;
 mod maze_world;
 mod planner;
@@ -16,6 +17,7 @@ fn hvf_core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     costs::register(module)?;
     keypoint::register(module)?;
+    layers::register(module)?;
     maze::register(module)?;
     maze_world::register(module)?;
     planner::register(module)?;

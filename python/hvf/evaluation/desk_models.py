@@ -20,8 +20,8 @@ from rich.table import Table
 from hvf.atomic import write_bytes
 from hvf.data.store import EpisodeFile
 from hvf.models.checkpoint import load_model
-from hvf.models.desk_probe import DeskProbe, DeskProbeConfig
-from hvf.models.parts_dynamics import PartsDynamics
+from hvf.models.desk.dynamics import DeskDynamics
+from hvf.models.desk.probe import DeskProbe, DeskProbeConfig
 from hvf.training.loop import LoopConfig, Validation, seeded, train
 from hvf.training.pictures import frame_grid, write_png
 from hvf.worlds.desk_learned import DeskLearnedWorld
@@ -96,7 +96,7 @@ def probe_desk(config: DeskModelProbe, console: Console | None = None) -> dict[s
         KeyboardInterrupt: stopped; the same call goes on from there.
     """
     console = console or Console()
-    world = DeskLearnedWorld(load_model(config.dynamics, PartsDynamics, environment="desk"))
+    world = DeskLearnedWorld(load_model(config.dynamics, DeskDynamics, environment="desk"))
     with EpisodeFile(config.data, "desk") as file:
         total, steps = len(file), file.metadata.steps
         held_out = min(max(total // 20, 1), 200)

@@ -43,11 +43,6 @@ class DeskWorldConfig:
             raise ValueError(f"model: must be one of {words}; got {self.model!r}")
         check_blur(self.blur)
         check_over_horizon(self.over_horizon)
-        if self.model == "learned" and (self.blur or self.over_horizon != "last"):
-            raise ValueError(
-                "blur, over_horizon: the learned model compares last frames without a blur, got "
-                f"{self.blur} and {self.over_horizon!r}"
-            )
 
 
 def load_desk(
@@ -61,8 +56,7 @@ def load_desk(
 
     Raises:
         FileNotFoundError: a checkpoint that is not there.
-        ValueError: a checkpoint of another model or environment, or a cost that the learned model
-            does not have.
+        ValueError: a checkpoint of another model or environment.
     """
     if config.model == "simulator":
         from hvf.worlds.desk_simulator import DeskSimulatorWorld
@@ -70,12 +64,13 @@ def load_desk(
         return DeskSimulatorWorld(pool, config.blur, config.over_horizon), None
     from hvf.models.checkpoint import load_model
     from hvf.models.cvae import CVAE
-    from hvf.models.parts_dynamics import PartsDynamics
+    from hvf.models.desk.dynamics import DeskDynamics
     from hvf.worlds.desk_learned import DeskLearnedWorld
     from hvf.worlds.learned import ImageSubgoals
 
     dynamics = config.dynamics or WEIGHTS / "desk_dynamics.safetensors"
-    world = DeskLearnedWorld(load_model(dynamics, PartsDynamics, environment="desk"))
+    model = load_model(dynamics, DeskDynamics, environment="desk")
+    world = DeskLearnedWorld(model, config.blur, config.over_horizon)
     vae = config.vae or WEIGHTS / "desk_vae.safetensors"
     if config.vae is None and not vae.exists():
         return world, None

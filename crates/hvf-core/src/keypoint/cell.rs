@@ -4,25 +4,13 @@
 //! the action and at a short memory, and moves keypoint and memory on: what a wall does to the
 //! motion depends on what is near, wherever in the scene that is.
 //!
-//! One block is [`LANES`] candidates of one problem, stored lane by lane, so that every weight is
-//! loaded once for the block and the arithmetic is plain vertical SIMD. Sums run in a fixed order
-//! and every multiply-add is a fused one, rounded once, so the result has the same bits on every
-//! machine and for every batch size. (A processor without the instruction computes the same, at a
-//! tenth of the speed.)
+//! One block is [`LANES`] candidates of one problem (see [`lanes`](crate::lanes)).
 
 use ndarray::{ArrayView1, ArrayView2};
 
 use super::field::SceneField;
+use crate::lanes::{rectify, Lanes, Packed, LANES, OUTPUTS};
 use crate::{Error, Result};
-
-/// Candidates that are moved together.
-pub const LANES: usize = 16;
-
-/// One number for each candidate of a block.
-pub type Lanes = [f32; LANES];
-
-/// Outputs of the middle layer that are summed at once; 4 x 16 lanes fill the vector registers.
-const OUTPUTS: usize = 4;
 
 /// Weights of the cell as `torch.nn.Linear` stores them: `[outputs, inputs]`.
 ///
@@ -86,50 +74,6 @@ pub struct Scratch {
     first: Vec<Lanes>,
     second: Vec<Lanes>,
     moved: Vec<Lanes>,
-}
-
-/// Weights of a layer, [`OUTPUTS`] outputs together: `[outputs / OUTPUTS][inputs][OUTPUTS]`.
-#[derive(Clone, Debug)]
-struct Packed(Vec<[f32; OUTPUTS]>);
-
-impl Packed {
-    /// Packs `weights[outputs, inputs]`, with rows of zeros up to a multiple of [`OUTPUTS`].
-    fn new(weights: ArrayView2<'_, f32>, scale: impl Fn(usize) -> f32) -> Self {
-        let (outputs, inputs) = weights.dim();
-        let at = |row: usize, column: usize| {
-            weights.get((row, column)).map_or(0.0, |weight| weight * scale(column))
-        };
-        Self(
-            (0..outputs.div_ceil(OUTPUTS))
-                .flat_map(|block| (0..inputs).map(move |column| (block * OUTPUTS, column)))
-                .map(|(first, column)| std::array::from_fn(|q| at(first + q, column)))
-                .collect(),
-        )
-    }
-
-    /// Adds weights times `inputs` to `out`.
-    #[inline(always)]
-    fn accumulate(&self, inputs: &[Lanes], out: &mut [Lanes]) {
-        for (out, weights) in out.chunks_exact_mut(OUTPUTS).zip(self.0.chunks_exact(inputs.len())) {
-            let mut sums: [Lanes; OUTPUTS] = std::array::from_fn(|q| out[q]);
-            for (input, weight) in inputs.iter().zip(weights) {
-                for q in 0..OUTPUTS {
-                    for lane in 0..LANES {
-                        sums[q][lane] = weight[q].mul_add(input[lane], sums[q][lane]);
-                    }
-                }
-            }
-            out.copy_from_slice(&sums);
-        }
-    }
-}
-
-/// Negative values to zero.
-#[inline(always)]
-fn rectify(units: &mut [Lanes]) {
-    for value in units.as_flattened_mut() {
-        *value = value.max(0.0);
-    }
 }
 
 fn expect(argument: &'static str, expected: &[usize], found: &[usize]) -> Result<()> {

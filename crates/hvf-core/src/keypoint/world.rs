@@ -5,11 +5,12 @@ use std::sync::Arc;
 use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3, ArrayView4, Axis};
 use rayon::prelude::*;
 
-use super::cell::{Cell, Lanes, Scratch, LANES};
+use super::cell::{Cell, Scratch};
 use super::field::SceneField;
 use super::frames::KeypointFrames;
 use super::sprite::{GoalTerms, Sprite};
 use crate::image::{GaussianBlur, OverHorizon};
+use crate::lanes::{Lanes, LANES};
 use crate::planner::{ActionSpace, Frames, WorldModel};
 use crate::{Error, Result};
 

@@ -1,6 +1,7 @@
 //! Where frames cross between Python and a world model, native or written in Python.
 
 use hvf_core_rs::keypoint::KeypointWorld;
+use hvf_core_rs::layers::LayerWorld;
 use hvf_core_rs::maze::{MazeFrames, MazeWorld};
 use hvf_core_rs::planner::{SubgoalModel, WorldModel};
 use hvf_core_rs::{Error, Result};
@@ -15,6 +16,7 @@ use super::arguments::describe;
 use super::raised;
 use crate::error::to_py;
 use crate::keypoint::{PyKeypointFrames, PyKeypointWorld};
+use crate::layers::{PyLayerFrames, PyLayerWorld};
 use crate::maze_world::{PyMazeFrames, PyMazeWorld};
 
 /// A world model with the way its frames come from Python and go back.
@@ -78,6 +80,21 @@ impl NativeClass for PyKeypointWorld {
     }
     fn wrap(inner: <KeypointWorld as WorldModel>::Frames) -> PyKeypointFrames {
         PyKeypointFrames { inner }
+    }
+}
+
+impl NativeClass for PyLayerWorld {
+    type World = LayerWorld;
+    type Frames = PyLayerFrames;
+
+    fn world(&self) -> &LayerWorld {
+        &self.inner
+    }
+    fn unwrap(frames: &PyLayerFrames) -> &<LayerWorld as WorldModel>::Frames {
+        &frames.inner
+    }
+    fn wrap(inner: <LayerWorld as WorldModel>::Frames) -> PyLayerFrames {
+        PyLayerFrames { inner }
     }
 }
 
@@ -153,7 +170,9 @@ impl<N: NativeClass> Border for Native<N> {
 
 /// Whether an object is the frames of a native world.
 pub fn is_native_frames(object: &Bound<'_, PyAny>) -> bool {
-    object.is_instance_of::<PyMazeFrames>() || object.is_instance_of::<PyKeypointFrames>()
+    object.is_instance_of::<PyMazeFrames>()
+        || object.is_instance_of::<PyKeypointFrames>()
+        || object.is_instance_of::<PyLayerFrames>()
 }
 
 /// The uint8 images `[N, H, W, 3]` in an object: an array of them, one image `[H, W, 3]`, or the
@@ -235,6 +254,9 @@ macro_rules! with_border {
         let model: &pyo3::Bound<'_, pyo3::PyAny> = $model;
         let native = $crate::planner::border::native_of(model)?;
         if let Ok(world) = native.cast::<$crate::keypoint::PyKeypointWorld>() {
+            let $border = $crate::planner::border::Native::new(world, model);
+            $body
+        } else if let Ok(world) = native.cast::<$crate::layers::PyLayerWorld>() {
             let $border = $crate::planner::border::Native::new(world, model);
             $body
         } else if let Ok(world) = native.cast::<$crate::maze_world::PyMazeWorld>() {

@@ -1,0 +1,61 @@
+//! Linear layers for blocks of [`LANES`] inputs at once.
+//!
+//! Inputs are stored lane by lane, so that every weight is loaded once for the block and the
+//! arithmetic is plain vertical SIMD. Sums run in a fixed order and every multiply-add is a fused
+//! one, rounded once, so the result has the same bits on every machine and for every batch size.
+//! (A processor without the instruction computes the same, at a tenth of the speed.)
+
+use ndarray::ArrayView2;
+
+/// Inputs that are worked on together.
+pub const LANES: usize = 16;
+
+/// One number for each input of a block.
+pub type Lanes = [f32; LANES];
+
+/// Outputs that are summed at once; 4 x 16 lanes fill the vector registers.
+pub(crate) const OUTPUTS: usize = 4;
+
+/// Weights of a layer, [`OUTPUTS`] outputs together: `[outputs / OUTPUTS][inputs][OUTPUTS]`.
+#[derive(Clone, Debug)]
+pub(crate) struct Packed(Vec<[f32; OUTPUTS]>);
+
+impl Packed {
+    /// Packs `weights[outputs, inputs]`, with rows of zeros up to a multiple of [`OUTPUTS`].
+    pub(crate) fn new(weights: ArrayView2<'_, f32>, scale: impl Fn(usize) -> f32) -> Self {
+        let (outputs, inputs) = weights.dim();
+        let at = |row: usize, column: usize| {
+            weights.get((row, column)).map_or(0.0, |weight| weight * scale(column))
+        };
+        Self(
+            (0..outputs.div_ceil(OUTPUTS))
+                .flat_map(|block| (0..inputs).map(move |column| (block * OUTPUTS, column)))
+                .map(|(first, column)| std::array::from_fn(|q| at(first + q, column)))
+                .collect(),
+        )
+    }
+
+    /// Adds weights times `inputs` to `out`.
+    #[inline(always)]
+    pub(crate) fn accumulate(&self, inputs: &[Lanes], out: &mut [Lanes]) {
+        for (out, weights) in out.chunks_exact_mut(OUTPUTS).zip(self.0.chunks_exact(inputs.len())) {
+            let mut sums: [Lanes; OUTPUTS] = std::array::from_fn(|q| out[q]);
+            for (input, weight) in inputs.iter().zip(weights) {
+                for q in 0..OUTPUTS {
+                    for lane in 0..LANES {
+                        sums[q][lane] = weight[q].mul_add(input[lane], sums[q][lane]);
+                    }
+                }
+            }
+            out.copy_from_slice(&sums);
+        }
+    }
+}
+
+/// Negative values to zero.
+#[inline(always)]
+pub(crate) fn rectify(units: &mut [Lanes]) {
+    for value in units.as_flattened_mut() {
+        *value = value.max(0.0);
+    }
+}

@@ -1,0 +1,149 @@
+//! What the arm looks like: a gallery of its images on a grid of hand positions.
+//!
+//! The twin of `hvf.models.desk.gallery.Gallery.forward`: trilinear interpolation in the grid, tile
+//! by tile, most of which are empty.
+
+use ndarray::{ArrayView2, ArrayView4};
+
+use super::tiles::Tiles;
+use crate::{Error, Result};
+
+/// Dimensions of the hand's code.
+pub const DIMENSIONS: usize = 3;
+/// Places of the grid around a code.
+const AROUND: usize = 8;
+
+/// What a gallery is made of.
+#[derive(Clone, Debug)]
+pub struct GalleryImages<'a> {
+    /// The hand's code at the first place of the grid.
+    pub low: [f32; DIMENSIONS],
+    /// From one place to the next.
+    pub step: [f32; DIMENSIONS],
+    /// Places of the grid.
+    pub places: [usize; DIMENSIONS],
+    /// Opacity, and colour times opacity, of tiles: `[M, 4, T, T]`; the first is empty.
+    pub patches: ArrayView4<'a, u8>,
+    /// Number of the patch in each tile of each place's image: `[places, tiles]`.
+    pub index: ArrayView2<'a, i32>,
+}
+
+/// The images of the arm.
+#[derive(Clone, Debug)]
+pub struct Gallery {
+    low: [f32; DIMENSIONS],
+    step: [f32; DIMENSIONS],
+    places: [usize; DIMENSIONS],
+    /// `[M][4][T * T]`.
+    patches: Vec<u8>,
+    /// `[places][tiles]`.
+    index: Vec<u32>,
+    tiles: Tiles,
+}
+
+/// The places around a code, and how much of the image of each is seen.
+pub type Around = [(usize, f32); AROUND];
+
+impl Gallery {
+    /// Takes over `images`, of frames of `image_size` pixels.
+    ///
+    /// # Errors
+    /// Shapes that do not fit each other, numbers of patches that are not there, a first patch that
+    /// is not empty, or a grid that does not go up.
+    pub fn new(images: &GalleryImages<'_>, image_size: usize) -> Result<Self> {
+        let (count, channels, height, width) = images.patches.dim();
+        if count == 0 || channels != 4 || height != width || width == 0 {
+            return Err(Error::invalid(
+                "arm_patches",
+                format!("expected shape [M, 4, T, T], got {:?}", images.patches.shape()),
+            ));
+        }
+        let tiles = Tiles::new(image_size, width)?;
+        if images.places.iter().any(|&places| places < 2) {
+            return Err(Error::invalid(
+                "arm_places",
+                format!("must be at least 2, got {:?}", images.places),
+            ));
+        }
+        let expected = (images.places.iter().product(), tiles.count());
+        if images.index.dim() != expected {
+            return Err(Error::invalid(
+                "arm_index",
+                format!("expected shape {expected:?}, got {:?}", images.index.shape()),
+            ));
+        }
+        let known = |&number: &i32| usize::try_from(number).is_ok_and(|number| number < count);
+        if !images.index.iter().all(known) {
+            return Err(Error::invalid("arm_index", format!("must be from 0 to {}", count - 1)));
+        }
+        if images.patches.outer_iter().next().is_some_and(|first| first.iter().any(|&x| x != 0)) {
+            return Err(Error::invalid("arm_patches", "the first must be empty"));
+        }
+        if images.low.iter().any(|x| !x.is_finite()) {
+            return Err(Error::invalid("arm_low", "must be finite"));
+        }
+        if images.step.iter().any(|x| !(x.is_finite() && *x > 0.0)) {
+            return Err(Error::invalid("arm_step", "must be positive and finite"));
+        }
+        Ok(Self {
+            low: images.low,
+            step: images.step,
+            places: images.places,
+            patches: images.patches.iter().copied().collect(),
+            index: images.index.iter().map(|&number| number as u32).collect(),
+            tiles,
+        })
+    }
+
+    /// How images are cut.
+    pub fn tiles(&self) -> Tiles {
+        self.tiles
+    }
+
+    /// The places around a code, which is moved into the grid.
+    pub fn around(&self, code: [f32; DIMENSIONS]) -> Around {
+        let mut lower = [0; DIMENSIONS];
+        let mut beyond = [0.0; DIMENSIONS];
+        for axis in 0..DIMENSIONS {
+            let last = (self.places[axis] - 1) as f32;
+            let place = ((code[axis] - self.low[axis]) / self.step[axis]).clamp(0.0, last);
+            lower[axis] = (place as usize).min(self.places[axis] - 2);
+            beyond[axis] = place - lower[axis] as f32;
+        }
+        std::array::from_fn(|corner| {
+            let up = [corner >> 2 & 1, corner >> 1 & 1, corner & 1];
+            let mut share = 1.0;
+            for axis in 0..DIMENSIONS {
+                share *= if up[axis] == 1 { beyond[axis] } else { 1.0 - beyond[axis] };
+            }
+            let at: [usize; DIMENSIONS] = std::array::from_fn(|axis| lower[axis] + up[axis]);
+            ((at[0] * self.places[1] + at[1]) * self.places[2] + at[2], share)
+        })
+    }
+
+    /// Draws opacity and colour times opacity of a tile, `[4][T * T]`; false where it is empty.
+    #[inline(always)]
+    pub fn draw(&self, around: &Around, tile: usize, out: &mut [f32]) -> bool {
+        let (count, length) = (self.tiles.count(), out.len());
+        let mut empty = true;
+        for &(place, share) in around {
+            let number = self.index[place * count + tile] as usize;
+            if number == 0 {
+                continue;
+            }
+            let patch = &self.patches[number * length..][..length];
+            let weight = share / 255.0;
+            if empty {
+                for (out, &value) in out.iter_mut().zip(patch) {
+                    *out = weight * f32::from(value);
+                }
+            } else {
+                for (out, &value) in out.iter_mut().zip(patch) {
+                    *out = weight.mul_add(f32::from(value), *out);
+                }
+            }
+            empty = false;
+        }
+        !empty
+    }
+}

@@ -1,0 +1,94 @@
+//! Images cut into square tiles, tile by tile: what is drawn for a tile stays in the first cache.
+
+use crate::{Error, Result};
+
+/// How images of `S` x `S` pixels are cut into tiles of `T` x `T`.
+///
+/// An image in tiles is `[tiles][3][T * T]`, its colours one after the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tiles {
+    size: usize,
+    tile: usize,
+}
+
+impl Tiles {
+    /// Tiles of `tile` pixels in images of `size`.
+    ///
+    /// # Errors
+    /// A tile that is empty or does not divide the image.
+    pub fn new(size: usize, tile: usize) -> Result<Self> {
+        if tile == 0 || size == 0 || !size.is_multiple_of(tile) {
+            return Err(Error::invalid(
+                "image_size",
+                format!("must be a positive multiple of the tile ({tile}), got {size}"),
+            ));
+        }
+        Ok(Self { size, tile })
+    }
+
+    /// Height and width of an image, `S`.
+    pub fn image_size(&self) -> usize {
+        self.size
+    }
+
+    /// Height and width of a tile, `T`.
+    pub fn tile_size(&self) -> usize {
+        self.tile
+    }
+
+    /// Tiles in an image.
+    pub fn count(&self) -> usize {
+        (self.size / self.tile).pow(2)
+    }
+
+    /// Pixels of a tile.
+    pub fn plane(&self) -> usize {
+        self.tile * self.tile
+    }
+
+    /// Row and column of the first pixel of a tile.
+    pub fn corner(&self, tile: usize) -> [usize; 2] {
+        let side = self.size / self.tile;
+        [tile / side * self.tile, tile % side * self.tile]
+    }
+
+    /// Row and column of every pixel, tile by tile.
+    fn pixels(self) -> impl Iterator<Item = (usize, [usize; 2])> {
+        (0..self.count()).flat_map(move |tile| {
+            let [top, left] = self.corner(tile);
+            (0..self.plane()).map(move |i| (tile, [top + i / self.tile, left + i % self.tile]))
+        })
+    }
+
+    /// One number per pixel, `at(row, column)`, in tiles: `[tiles][T * T]`.
+    pub fn cut_plane<T>(&self, at: impl Fn(usize, usize) -> T) -> Vec<T> {
+        self.pixels().map(|(_, [row, column])| at(row, column)).collect()
+    }
+
+    /// An image `at(row, column, colour)` in tiles.
+    pub fn cut<T>(&self, at: impl Fn(usize, usize, usize) -> T) -> Vec<T> {
+        let mut tiles = Vec::with_capacity(self.size * self.size * 3);
+        for tile in 0..self.count() {
+            let [top, left] = self.corner(tile);
+            for colour in 0..3 {
+                for i in 0..self.plane() {
+                    tiles.push(at(top + i / self.tile, left + i % self.tile, colour));
+                }
+            }
+        }
+        tiles
+    }
+
+    /// Puts a tile `[3][T * T]` at its place in `image[S, S, 3]`.
+    pub fn place(&self, tile: usize, values: &[f32], image: &mut [f32]) {
+        let [top, left] = self.corner(tile);
+        for (colour, plane) in values.chunks_exact(self.plane()).enumerate() {
+            for (y, row) in plane.chunks_exact(self.tile).enumerate() {
+                let first = ((top + y) * self.size + left) * 3 + colour;
+                for (value, to) in row.iter().zip(image[first..].iter_mut().step_by(3)) {
+                    *to = *value;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,476 @@
+//! The desk's learned dynamics model as a [`WorldModel`].
+
+use std::sync::Arc;
+
+use multiversion::multiversion;
+use ndarray::{
+    Array2, Array3, Array4, Array5, ArrayView2, ArrayView3, ArrayView4, ArrayViewMut2, Axis,
+};
+use rayon::prelude::*;
+
+use super::cell::{Cell, Moving, Scratch};
+use super::frames::LayerFrames;
+use super::gallery::DIMENSIONS;
+use super::painter::{Canvas, Painter, Scene};
+use crate::image::{BlurScratch, GaussianBlur, OverHorizon};
+use crate::lanes::{Lanes, LANES};
+use crate::planner::{ActionSpace, Frames, WorldModel};
+use crate::{Error, Result};
+
+/// Blocks of lanes that are rolled out together.
+const BLOCKS: usize = 4;
+/// Candidates of as many blocks.
+const CHUNK: usize = BLOCKS * LANES;
+
+/// Learned dynamics whose planning cost is the pixel cost of the predicted frame.
+///
+/// # How it works
+/// 1. The cell moves hand, sliders and parts of the start frame by each action in turn
+///    ([`Cell`]).
+/// 2. The predicted frame is the start frame without its arm, changed, with the arm before it
+///    ([`Painter`]).
+/// 3. Its squared distance to the goal image, per pixel, is the cost.
+///
+/// Candidates go in blocks of 64; what one costs does not depend on its block, on the other
+/// goals it is compared with, or on the number of threads.
+#[derive(Clone, Debug)]
+pub struct LayerWorld {
+    cell: Cell,
+    painter: Arc<Painter>,
+    actions: ActionSpace,
+    blur: Option<GaussianBlur>,
+    over_horizon: OverHorizon,
+}
+
+/// What candidates are compared with: images in tiles, or blurred ones in rows.
+struct Goals(Vec<Vec<f32>>);
+
+/// Room for one chunk of candidates.
+struct Room {
+    cell: Scratch,
+    actions: Vec<Vec<Lanes>>,
+    canvas: Canvas,
+    /// Frames `[candidates][S, S, 3]`, where they are blurred.
+    images: Vec<f32>,
+    blur: Option<BlurScratch>,
+    /// Squared distances `[goals][candidates]`.
+    sums: Vec<f64>,
+}
+
+impl LayerWorld {
+    /// A world with actions in [-1, 1] of frames seen through a Gaussian blur of `blur_sigma`
+    /// pixels (0 for none).
+    ///
+    /// # Errors
+    /// A cell and a painter of different states, or a blur that is negative or not finite.
+    pub fn new(
+        cell: Cell,
+        painter: Painter,
+        blur_sigma: f64,
+        over_horizon: OverHorizon,
+    ) -> Result<Self> {
+        if cell.action_dim() != DIMENSIONS {
+            return Err(Error::invalid(
+                "hand",
+                format!("expected {DIMENSIONS} outputs, got {}", cell.action_dim()),
+            ));
+        }
+        if cell.state_size() != painter.state_size() {
+            return Err(Error::invalid(
+                "sprites",
+                format!("expected {} parts, got {}", cell.roaming(), painter.roaming()),
+            ));
+        }
+        let limit = vec![1.0; cell.action_dim()];
+        let actions = ActionSpace::new(limit.iter().map(|x| -x).collect(), limit)?;
+        let blur = GaussianBlur::new(blur_sigma, "blur")?;
+        Ok(Self { cell, painter: Arc::new(painter), actions, blur, over_horizon })
+    }
+
+    /// Frames of this world from `images[N, S, S, 3]`, the same without the arm (`clean`, in
+    /// [0, 1]), where each part is in them (`regions[N, R, S, S]`) and `states[N, X]`.
+    ///
+    /// # Errors
+    /// Shapes that do not fit each other or the world, or numbers that are not finite.
+    pub fn frames(
+        &self,
+        images: ArrayView4<'_, u8>,
+        clean: ArrayView4<'_, f32>,
+        regions: ArrayView4<'_, bool>,
+        states: ArrayView2<'_, f32>,
+    ) -> Result<LayerFrames> {
+        LayerFrames::new(Arc::clone(&self.painter), images, clean, regions, states)
+    }
+
+    fn check(&self, argument: &'static str, frames: &LayerFrames) -> Result<()> {
+        if frames.belong_to(&self.painter) {
+            Ok(())
+        } else {
+            Err(Error::invalid(argument, "are frames of another world"))
+        }
+    }
+
+    fn check_actions(&self, problems: usize, expected: usize, dim: usize) -> Result<()> {
+        if problems != expected {
+            return Err(Error::invalid(
+                "actions",
+                format!("expected {expected} problems, got {problems}"),
+            ));
+        }
+        if dim != self.actions.dim() {
+            return Err(Error::invalid(
+                "actions",
+                format!("expected {} action dimensions, got {dim}", self.actions.dim()),
+            ));
+        }
+        Ok(())
+    }
+
+    fn room(&self, goals: usize) -> Room {
+        let size = self.painter.tiles().image_size();
+        let images = if self.blur.is_some() { CHUNK * size * size * 3 } else { 0 };
+        Room {
+            cell: self.cell.scratch(BLOCKS),
+            actions: vec![vec![[0.0; LANES]; self.actions.dim()]; BLOCKS],
+            canvas: self.painter.canvas(BLOCKS),
+            images: vec![0.0; images],
+            blur: self.blur.as_ref().map(|blur| blur.scratch(size, size, 3)),
+            sums: vec![0.0; goals * CHUNK],
+        }
+    }
+
+    /// Rolls out up to [`CHUNK`] candidates, `actions[D, H, A]`, and hands what moves to
+    /// `visit(step, moving, canvas)` after every step.
+    fn roll(
+        &self,
+        state: &[f32],
+        actions: ArrayView3<'_, f32>,
+        cell: &mut Scratch,
+        lanes: &mut [Vec<Lanes>],
+        mut visit: impl FnMut(usize, &Moving),
+    ) {
+        let (candidates, steps, _) = actions.dim();
+        let blocks = candidates.div_ceil(LANES);
+        let mut moving = self.cell.start(state, blocks);
+        for step in 0..steps {
+            for (block, lanes) in lanes[..blocks].iter_mut().enumerate() {
+                for (dimension, lanes) in lanes.iter_mut().enumerate() {
+                    for (lane, action) in lanes.iter_mut().enumerate() {
+                        let candidate = (block * LANES + lane).min(candidates - 1);
+                        *action = actions[[candidate, step, dimension]].clamp(-1.0, 1.0);
+                    }
+                }
+            }
+            self.cell.advance(&mut moving, lanes, cell);
+            visit(step, &moving);
+        }
+    }
+
+    fn goals(&self, goals: &LayerFrames, which: impl IntoParallelIterator<Item = usize>) -> Goals {
+        let tiles = self.painter.tiles();
+        let size = tiles.image_size();
+        let unit = |image: &[u8], row: usize, column: usize, colour: usize| {
+            f32::from(image[(row * size + column) * 3 + colour]) / 255.0
+        };
+        let prepare = |i: usize| {
+            let image = goals.image(i);
+            let Some(blur) = &self.blur else {
+                return tiles.cut(|row, column, colour| unit(image, row, column, colour));
+            };
+            let mut rows: Vec<f32> = image.iter().map(|&x| f32::from(x) / 255.0).collect();
+            blur.apply(&mut rows, size, size, 3, &mut blur.scratch(size, size, 3));
+            rows
+        };
+        Goals(which.into_par_iter().map(prepare).collect::<Vec<_>>())
+    }
+
+    /// Costs `[goals, candidates]` of up to [`CHUNK`] candidates.
+    fn chunk_costs(
+        &self,
+        scene: Scene<'_>,
+        goals: &Goals,
+        actions: ArrayView3<'_, f32>,
+        room: &mut Room,
+        mut costs: ArrayViewMut2<'_, f32>,
+    ) {
+        let (candidates, steps, _) = actions.dim();
+        let pixels = (self.painter.tiles().image_size() as f64).powi(2);
+        costs.fill(self.over_horizon.start());
+        let Room { cell, actions: lanes, canvas, images, blur, sums } = room;
+        self.roll(scene.state, actions, cell, lanes, |step, moving| {
+            let states = &moving.states;
+            if self.over_horizon.counts(step, steps) {
+                match (&self.blur, blur.as_mut()) {
+                    (Some(gaussian), Some(scratch)) => {
+                        self.draw_chunk(scene, states, candidates, canvas, images);
+                        self.blurred_sums(goals, candidates, images, gaussian, scratch, sums);
+                    }
+                    _ => self.tile_sums(scene, goals, states, candidates, canvas, sums),
+                }
+                for (row, sums) in costs.rows_mut().into_iter().zip(sums.chunks_exact(CHUNK)) {
+                    for (cost, sum) in row.into_iter().zip(sums) {
+                        *cost = self.over_horizon.add(*cost, (*sum / pixels) as f32);
+                    }
+                }
+            }
+            if step + 1 == steps {
+                // Rectified units and comparisons have lost what is not a number.
+                for (candidate, actions) in actions.outer_iter().enumerate() {
+                    let state = &states[candidate / LANES];
+                    let mut state = state.iter().map(|x| x[candidate % LANES]);
+                    if !(state.all(f32::is_finite) && actions.iter().all(|x| x.is_finite())) {
+                        costs.column_mut(candidate).fill(f32::NAN);
+                    }
+                }
+            }
+        });
+    }
+
+    fn tile_sums(
+        &self,
+        scene: Scene<'_>,
+        goals: &Goals,
+        states: &[Vec<Lanes>],
+        candidates: usize,
+        canvas: &mut Canvas,
+        sums: &mut [f64],
+    ) {
+        sums.fill(0.0);
+        let values = 3 * self.painter.tiles().plane();
+        self.painter.paint(scene, states, candidates, canvas, |tile, drawn| {
+            for (goal, sums) in goals.0.iter().zip(sums.chunks_exact_mut(CHUNK)) {
+                let goal = &goal[tile * values..][..values];
+                for (frame, sum) in drawn.chunks_exact(values).zip(sums) {
+                    *sum += f64::from(squared_distance(frame, goal));
+                }
+            }
+        });
+    }
+
+    fn blurred_sums(
+        &self,
+        goals: &Goals,
+        candidates: usize,
+        images: &mut [f32],
+        blur: &GaussianBlur,
+        scratch: &mut BlurScratch,
+        sums: &mut [f64],
+    ) {
+        let size = self.painter.tiles().image_size();
+        let frames = images.chunks_exact_mut(size * size * 3).take(candidates);
+        for (candidate, frame) in frames.enumerate() {
+            blur.apply(frame, size, size, 3, scratch);
+            for (goal, sums) in goals.0.iter().zip(sums.chunks_exact_mut(CHUNK)) {
+                sums[candidate] = frame
+                    .chunks(1024)
+                    .zip(goal.chunks(1024))
+                    .map(|(a, b)| f64::from(squared_distance(a, b)))
+                    .sum();
+            }
+        }
+    }
+
+    /// Draws candidates into `images[candidates][S, S, 3]`.
+    fn draw_chunk(
+        &self,
+        scene: Scene<'_>,
+        states: &[Vec<Lanes>],
+        candidates: usize,
+        canvas: &mut Canvas,
+        images: &mut [f32],
+    ) {
+        let tiles = self.painter.tiles();
+        let (values, length) = (3 * tiles.plane(), tiles.image_size().pow(2) * 3);
+        self.painter.paint(scene, states, candidates, canvas, |tile, drawn| {
+            for (values, image) in drawn.chunks_exact(values).zip(images.chunks_exact_mut(length)) {
+                tiles.place(tile, values, image);
+            }
+        });
+    }
+
+    /// States `[B, D, H, X]` that the cell predicts from each of `B` frames for
+    /// `actions[B, D, H, A]`.
+    ///
+    /// # Errors
+    /// Frames or actions of another model, or not as many of one as of the other.
+    pub fn rollout(
+        &self,
+        starts: &LayerFrames,
+        actions: ArrayView4<'_, f32>,
+    ) -> Result<Array4<f32>> {
+        self.check("starts", starts)?;
+        let (problems, candidates, steps, dim) = actions.dim();
+        self.check_actions(problems, starts.len(), dim)?;
+        let mut paths = Array4::zeros((problems, candidates, steps, self.cell.state_size()));
+        paths.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(b, mut path)| {
+            path.axis_chunks_iter_mut(Axis(0), CHUNK)
+                .into_par_iter()
+                .zip(actions.index_axis(Axis(0), b).axis_chunks_iter(Axis(0), CHUNK))
+                .for_each_init(
+                    || self.room(0),
+                    |room, (mut out, actions)| {
+                        let Room { cell, actions: lanes, .. } = room;
+                        self.roll(starts.state(b), actions, cell, lanes, |step, moving| {
+                            for ((candidate, x), to) in
+                                out.index_axis_mut(Axis(1), step).indexed_iter_mut()
+                            {
+                                *to = moving.states[candidate / LANES][x][candidate % LANES];
+                            }
+                        });
+                    },
+                );
+        });
+        Ok(paths)
+    }
+
+    /// Frames `[N, H, S, S, 3]` that are predicted from each of `N` frames for `actions[N, H, A]`.
+    ///
+    /// # Errors
+    /// Frames or actions of another model, or not as many of one as of the other.
+    pub fn predict(
+        &self,
+        starts: &LayerFrames,
+        actions: ArrayView3<'_, f32>,
+    ) -> Result<Array5<u8>> {
+        let paths = self.rollout(starts, actions.insert_axis(Axis(1)))?;
+        let paths = paths.index_axis_move(Axis(1), 0);
+        let (steps, size) = (actions.dim().1, self.painter.tiles().image_size());
+        let mut frames = Array5::zeros((starts.len(), steps, size, size, 3));
+        for step in 0..steps {
+            let drawn = self.draw(starts, paths.index_axis(Axis(1), step))?;
+            frames
+                .index_axis_mut(Axis(1), step)
+                .assign(&drawn.mapv(|value| (value * 255.0).round_ties_even() as u8));
+        }
+        Ok(frames)
+    }
+
+    /// Frames `[N, S, S, 3]` in [0, 1] of what `starts` look like at `states[N, X]`.
+    ///
+    /// # Errors
+    /// Frames of another world, or states of another shape.
+    pub fn draw(&self, starts: &LayerFrames, states: ArrayView2<'_, f32>) -> Result<Array4<f32>> {
+        self.check("starts", starts)?;
+        let (count, size) = (starts.len(), self.painter.tiles().image_size());
+        if states.dim() != (count, self.cell.state_size()) {
+            return Err(Error::invalid(
+                "states",
+                format!(
+                    "expected shape [{count}, {}], got {:?}",
+                    self.cell.state_size(),
+                    states.shape()
+                ),
+            ));
+        }
+        let mut images = vec![0.0; count * size * size * 3];
+        images.par_chunks_exact_mut(size * size * 3).enumerate().for_each_init(
+            || self.painter.canvas(1),
+            |canvas, (i, image)| {
+                let state: Vec<Lanes> = states.row(i).iter().map(|&x| [x; LANES]).collect();
+                self.draw_chunk(starts.scene(i), &[state], 1, canvas, image);
+            },
+        );
+        Ok(Array4::from_shape_vec((count, size, size, 3), images)
+            .expect("as many values as N frames have"))
+    }
+
+    /// Costs `[B, D]` of `actions[D, H, A]` from the one frame in `start` to each of `goals[B]`.
+    ///
+    /// # Errors
+    /// Frames or actions of another model, or more or less than one start.
+    pub fn shared_costs(
+        &self,
+        start: &LayerFrames,
+        goals: &LayerFrames,
+        actions: ArrayView3<'_, f32>,
+    ) -> Result<Array2<f32>> {
+        self.check("start", start)?;
+        self.check("goals", goals)?;
+        if start.len() != 1 {
+            return Err(Error::invalid("start", format!("expected 1 frame, got {}", start.len())));
+        }
+        let (candidates, _, dim) = actions.dim();
+        self.check_actions(1, 1, dim)?;
+        let prepared = self.goals(goals, 0..goals.len());
+        let mut costs = Array2::zeros((goals.len(), candidates));
+        costs
+            .axis_chunks_iter_mut(Axis(1), CHUNK)
+            .into_par_iter()
+            .zip(actions.axis_chunks_iter(Axis(0), CHUNK))
+            .for_each_init(
+                || self.room(goals.len()),
+                |room, (out, actions)| {
+                    self.chunk_costs(start.scene(0), &prepared, actions, room, out);
+                },
+            );
+        Ok(costs)
+    }
+}
+
+impl WorldModel for LayerWorld {
+    type Frames = LayerFrames;
+
+    fn action_space(&self) -> &ActionSpace {
+        &self.actions
+    }
+
+    fn max_candidates(&self) -> usize {
+        1 << 14
+    }
+
+    fn rollout_costs(
+        &self,
+        starts: &LayerFrames,
+        goals: &LayerFrames,
+        actions: Array4<f32>,
+    ) -> Result<Array2<f32>> {
+        self.check("starts", starts)?;
+        self.check("goals", goals)?;
+        let (problems, candidates, _, dim) = actions.dim();
+        self.check_actions(problems, starts.len(), dim)?;
+        self.check_actions(problems, goals.len(), dim)?;
+        let mut costs = Array2::zeros((problems, candidates));
+        costs.axis_chunks_iter_mut(Axis(0), 1).into_par_iter().enumerate().for_each(
+            |(b, mut row)| {
+                let prepared = self.goals(goals, [b]);
+                row.axis_chunks_iter_mut(Axis(1), CHUNK)
+                    .into_par_iter()
+                    .zip(actions.index_axis(Axis(0), b).axis_chunks_iter(Axis(0), CHUNK))
+                    .for_each_init(
+                        || self.room(1),
+                        |room, (out, actions)| {
+                            self.chunk_costs(starts.scene(b), &prepared, actions, room, out);
+                        },
+                    );
+            },
+        );
+        Ok(costs)
+    }
+
+    fn shared_rollout_costs(
+        &self,
+        start: &LayerFrames,
+        goals: &LayerFrames,
+        actions: Array3<f32>,
+    ) -> Option<Result<Array2<f32>>> {
+        Some(self.shared_costs(start, goals, actions.view()))
+    }
+}
+
+/// `sum((a - b)^2)`, in 16 partial sums: the order of additions is always the same.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
+    let (a_lanes, a_rest) = a.as_chunks::<16>();
+    let (b_lanes, b_rest) = b.as_chunks::<16>();
+    let mut sums = [0.0; 16];
+    for (x, y) in a_lanes.iter().zip(b_lanes) {
+        for lane in 0..16 {
+            let apart = x[lane] - y[lane];
+            sums[lane] = apart.mul_add(apart, sums[lane]);
+        }
+    }
+    for (sum, (x, y)) in sums.iter_mut().zip(a_rest.iter().zip(b_rest)) {
+        *sum += (x - y) * (x - y);
+    }
+    sums.iter().sum()
+}
