@@ -18,11 +18,13 @@ from hvf.evaluation.acting import Acting, Images, Indices
 from hvf.evaluation.agents import Replanning
 from hvf.evaluation.planning import Planning
 from hvf.evaluation.task import EpisodeTask, Evaluation
-from hvf.worlds import WEIGHTS
-from hvf.worlds.desk import DeskWorldConfig, ModelName, load_desk
+from hvf.worlds.desk import DeskWorldConfig, GeneratorName, ModelName, load_desk
 from hvf.worlds.desk_simulator import DeskFrames
 
-_CHECKPOINTS = ("dynamics", "vae")
+_HINT = (
+    "`hvf train desk-generator` and `hvf train desk-subgoals` make them, and desk_generator and "
+    "vae name them"
+)
 
 Preset: TypeAlias = Literal["default", "paper", "simulator"]
 
@@ -74,7 +76,9 @@ class DeskEvaluation(Evaluation):
         model: what is planned with: learned models, or the true simulator (not for agent hvf: a
             drawn subgoal has no state that a simulation could start from).
         dynamics: checkpoint of the learned dynamics; None for the shipped one.
-        vae: checkpoint of the VAE of subgoals; None for the shipped one.
+        generator: where subgoals come from: learned "states", or the paper's "vae" on images.
+        desk_generator: checkpoint of the generator of states; None for the shipped one.
+        vae: checkpoint of the VAE; none ships.
         planning: how agents plan and act.
     """
 
@@ -99,7 +103,9 @@ class DeskEvaluation(Evaluation):
 
     task: TaskName = "door_two_block"
     model: ModelName = "learned"
+    generator: GeneratorName = "states"
     dynamics: Path | None = None
+    desk_generator: Path | None = None
     vae: Path | None = None
     planning: DeskPlanning = DeskPlanning()
 
@@ -131,7 +137,9 @@ class DeskEvaluation(Evaluation):
             model="simulator" if self.agent == "random" else self.model,
             blur=self.planning.blur,
             over_horizon=self.planning.over_horizon,
+            generator=self.generator,
             dynamics=self.dynamics,
+            desk_generator=self.desk_generator,
             vae=self.vae,
         )
 
@@ -251,9 +259,9 @@ class DeskTask(EpisodeTask[DeskTrials]):
         try:
             loaded, generator = load_desk(world, self.pool)
             if evaluation.agent == "hvf" and generator is None:
-                raise FileNotFoundError("vae: the package ships no VAE of the desk; name one")
+                raise FileNotFoundError(f"{evaluation.generator}: no such generator; {_HINT}")
             told = world.model == "simulator"
-            super().__init__(evaluation, loaded, generator, _checkpoints(world), told)
+            super().__init__(evaluation, loaded, generator, world.checkpoints, told)
         except BaseException:
             self.close()
             raise
@@ -267,12 +275,3 @@ class DeskTask(EpisodeTask[DeskTrials]):
         """Stop the processes, unless they are shared."""
         if not self._shared:
             self.pool.close()
-
-
-def _checkpoints(world: DeskWorldConfig) -> dict[str, Path]:
-    """The checkpoints that a world is made of; none for the simulator."""
-    if world.model == "simulator":
-        return {}
-    return {
-        name: getattr(world, name) or WEIGHTS / f"desk_{name}.safetensors" for name in _CHECKPOINTS
-    }

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 ModelName: TypeAlias = Literal["learned", "simulator"]
 OverHorizon: TypeAlias = Literal["last", "sum", "min"]
+GeneratorName: TypeAlias = Literal["states", "vae"]
 
 
 @dataclass(frozen=True)
@@ -27,28 +28,43 @@ class DeskWorldConfig:
             goals are compared; 0 for none.
         over_horizon: the cost of a rollout is that of its last frame, the sum over all frames, or
             the smallest.
+        generator: where subgoals of the learned model come from: ``states`` (learned, drawn by the
+            compact dynamics) or the paper's ``vae`` on images.
         dynamics: checkpoint of the learned dynamics; None for the one that ships.
-        vae: checkpoint of the VAE of subgoals; None for the one that ships.
+        desk_generator: checkpoint of the generator of states; None for the one that ships.
+        vae: checkpoint of the VAE; it has to be named, as none ships.
     """
 
     model: ModelName = "learned"
+    generator: GeneratorName = "states"
     blur: float = 0.0
     over_horizon: OverHorizon = "last"
     dynamics: Path | None = None
+    desk_generator: Path | None = None
     vae: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.model not in get_args(ModelName):
-            words = ", ".join(get_args(ModelName))
-            raise ValueError(f"model: must be one of {words}; got {self.model!r}")
+        check_word("model", self.model, ModelName)
+        check_word("generator", self.generator, GeneratorName)
         check_blur(self.blur)
         check_over_horizon(self.over_horizon)
+
+    @property
+    def checkpoints(self) -> dict[str, Path]:
+        """The checkpoints that the world is made of; none for the simulator."""
+        if self.model == "simulator":
+            return {}
+        paths = {"dynamics": self.dynamics or WEIGHTS / "desk_dynamics.safetensors"}
+        if self.generator == "vae":
+            return paths if self.vae is None else {**paths, "vae": self.vae}
+        generator = self.desk_generator or WEIGHTS / "desk_generator.safetensors"
+        return {**paths, "desk_generator": generator}
 
 
 def load_desk(
     config: DeskWorldConfig, pool: DeskPool
 ) -> tuple[WorldModel[Any], SubgoalModel[Any] | None]:
-    """The world model of the desk, and what draws subgoals in it: nothing, where there is no VAE.
+    """The world model of the desk, and what draws subgoals in it: nothing, where none is named.
 
     Args:
         config: which.
@@ -65,16 +81,20 @@ def load_desk(
     from hvf.models.checkpoint import load_model
     from hvf.models.cvae import CVAE
     from hvf.models.desk.dynamics import DeskDynamics
+    from hvf.models.desk.generator import DeskGenerator
     from hvf.worlds.desk_learned import DeskLearnedWorld
+    from hvf.worlds.desk_subgoals import StateSubgoals
     from hvf.worlds.learned import ImageSubgoals
 
-    dynamics = config.dynamics or WEIGHTS / "desk_dynamics.safetensors"
-    model = load_model(dynamics, DeskDynamics, environment="desk")
+    paths = config.checkpoints
+    model = load_model(paths["dynamics"], DeskDynamics, environment="desk")
     world = DeskLearnedWorld(model, config.blur, config.over_horizon)
-    vae = config.vae or WEIGHTS / "desk_vae.safetensors"
-    if config.vae is None and not vae.exists():
+    if "vae" in paths:
+        return world, ImageSubgoals(load_model(paths["vae"], CVAE, environment="desk"))
+    if config.generator == "vae" or not paths["desk_generator"].exists():
         return world, None
-    return world, ImageSubgoals(load_model(vae, CVAE, environment="desk"))
+    generator = load_model(paths["desk_generator"], DeskGenerator, environment="desk")
+    return world, StateSubgoals(generator, world)
 
 
 def check_blur(blur: float) -> None:
@@ -93,7 +113,15 @@ def check_over_horizon(over_horizon: str) -> None:
     Raises:
         ValueError: another.
     """
-    allowed = get_args(OverHorizon)
-    if over_horizon not in allowed:
-        words = ", ".join(allowed)
-        raise ValueError(f"over_horizon: must be one of {words}; got {over_horizon!r}")
+    check_word("over_horizon", over_horizon, OverHorizon)
+
+
+def check_word(name: str, value: str, allowed: object) -> None:
+    """Refuse a ``value`` of ``name`` that is not one of the literals ``allowed``.
+
+    Raises:
+        ValueError: it is not.
+    """
+    words = get_args(allowed)
+    if value not in words:
+        raise ValueError(f"{name}: must be one of {', '.join(words)}; got {value!r}")

@@ -87,24 +87,30 @@ class DeskLearnedWorld:
             scenes = [self.dynamics.perception.scene(part.to(self._device)) for part in parts]
         return self._frames(images, scenes)
 
-    def imagine(self, states: NDArray[np.float32]) -> hvf_core.LayerFrames:
-        """Frames as the model draws `states [N, X]`.
+    def changed(
+        self, scene: hvf_core.LayerFrames, states: NDArray[np.float32]
+    ) -> hvf_core.LayerFrames:
+        """Frames that `scene [1]` becomes at `states [N, X]`, as the model draws them.
 
         Raises:
-            ValueError: states of another length than the model's, or that are not finite.
+            ValueError: more than one scene, states of another length than the model's, or states
+                that are not finite.
         """
         perception = self.dynamics.perception
         length = perception.config.state_size
+        if len(scene) != 1:
+            raise ValueError(f"scene: expected one frame, got {len(scene)}")
         if states.ndim != 2 or states.shape[1] != length:
             raise ValueError(f"states: expected shape [N, {length}], got {states.shape}")
         if not np.isfinite(states).all():
             raise ValueError("states: must be finite")
         images, scenes = [], []
         with torch.inference_mode():
+            start = perception.scene(torch.from_numpy(scene.images).to(self._device))
             tensor = torch.from_numpy(np.ascontiguousarray(states, np.float32)).to(self._device)
             for part in torch.split(tensor, _IMAGES_AT_ONCE):
-                scenes.append(perception.imagine(part))
-                images.append(to_frames(perception.draw(scenes[-1], part)).cpu().numpy())
+                scenes.append(perception.change(start, part))
+                images.append(to_frames(perception.with_arm(scenes[-1])).cpu().numpy())
         return self._frames(np.concatenate(images), scenes)
 
     def rollout_costs(

@@ -210,8 +210,12 @@ class DeskPerception(nn.Module):
 
     def draw(self, scenes: Scene, states: Tensor) -> Tensor:
         """Frames `[N, 3, S, S]` in [0, 1] of what `scenes` look like at `states [N, X]`."""
-        opacity, colour = self.gallery(states[:, : self.config.arm.action_dim])
-        drawn: Tensor = self.change(scenes, states).image * (1 - opacity) + colour
+        return self.with_arm(self.change(scenes, states))
+
+    def with_arm(self, scenes: Scene) -> Tensor:
+        """Frames `[N, 3, S, S]` in [0, 1]: `scenes` with the arm before them."""
+        opacity, colour = self.gallery(scenes.states[:, : self.config.arm.action_dim])
+        drawn: Tensor = scenes.image * (1 - opacity) + colour
         return drawn.clamp(0, 1)
 
     def paste(self, images: Tensor, parts: Tensor) -> Tensor:

@@ -1,0 +1,47 @@
+"""Subgoals of the desk, drawn as states by a generator and as images by the compact dynamics."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+import hvf_core
+from hvf.models.desk.generator import DeskGenerator
+from hvf.worlds.desk_learned import DeskLearnedWorld
+
+
+class StateSubgoals:
+    """Subgoals drawn by the generator of states (`hvf.protocols.SubgoalModel`).
+
+    Args:
+        generator: the trained generator.
+        world: the world whose frames it draws.
+
+    Raises:
+        ValueError: a generator of states of another length than the world's.
+    """
+
+    def __init__(self, generator: DeskGenerator, world: DeskLearnedWorld) -> None:
+        expected = world.dynamics.config.perception.state_size
+        found = generator.config.state_size
+        if expected != found:
+            raise ValueError(f"generator: draws states of length {found}, the world's: {expected}")
+        self.generator = generator.eval()
+        self.world = world
+
+    @property
+    def latent_dim(self) -> int:
+        """Latent dimensions of one image."""
+        return self.generator.config.latent_dim
+
+    def decode(
+        self, scene: hvf_core.LayerFrames, latents: NDArray[np.float32]
+    ) -> hvf_core.LayerFrames:
+        """Frames `[M * K]` for `latents [M, K, L]` in the scene of `scene [1]`, sample-major."""
+        count = latents.shape[0] * latents.shape[1]
+        with torch.inference_mode():
+            flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
+            start = torch.from_numpy(scene.states).expand(count, -1)
+            states = self.generator.decode(flat, start)
+        return self.world.changed(scene, states.numpy())
