@@ -27,7 +27,7 @@ from hvf.envs.desk.simulator import (
 )
 from hvf.envs.desk.tasks import TASKS, TaskName, make_episodes, object_success
 from hvf.evaluation.desk import DeskEvaluation, DeskPlanning, DeskTask, DeskTrials
-from hvf.evaluation.evaluate import load
+from hvf.evaluation.evaluate import evaluate, load
 from hvf.worlds.desk import DeskWorldConfig, load_desk
 from hvf.worlds.desk_simulator import DeskFrames, DeskSimulatorWorld
 
@@ -313,6 +313,34 @@ def test_processes_and_neighbours_do_not_change_a_trial(
     assert together.decisions == 6
     if agent == "ground-truth":
         assert alone[0].switches == (1,)
+
+
+def test_a_trial_that_diverges_fails_and_says_where_and_the_others_go_on(
+    pool: DeskPool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    evaluation = DeskEvaluation.of(
+        agent="random", task="door", model="simulator", seed=SEED, steps=4
+    )
+    step = DeskTrials.step
+
+    def disturbed(self: DeskTrials, which: np.ndarray, actions: np.ndarray) -> dict[int, str]:
+        if (self._taken == 2).all():
+            self.states[1, 40:] = 1e12
+        return step(self, which, actions)
+
+    with DeskTask(evaluation, pool=pool) as task:
+        undisturbed = evaluate(task, 3, chunk=3)
+        monkeypatch.setattr(DeskTrials, "step", disturbed)
+        out = tmp_path / "report.json"
+        evaluate(task, 3, out, chunk=3)
+    trials = load(out).trials
+    words = f"the simulation diverged: seed {SEED}, episode 1, step 2"
+    assert [(trial.success, trial.steps, trial.error) for trial in trials] == [
+        (False, 4, None),
+        (False, 2, words),
+        (False, 4, None),
+    ]
+    assert [trial.error for trial in undisturbed.trials] == [None] * 3
 
 
 WORDS = [f"--{name.replace('_', '-')}={value}" for name, value in CHEAP.items()]

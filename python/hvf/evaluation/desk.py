@@ -177,21 +177,25 @@ class DeskTrials:
         """Return images and states of the desks now."""
         return DeskFrames(self.observe(which), self.states[which])
 
-    def step(self, which: Indices, actions: NDArray[np.float32]) -> None:
+    def step(self, which: Indices, actions: NDArray[np.float32]) -> dict[int, str]:
         """Apply ``actions[N, 3]`` for 0.2 s.
 
-        Raises:
-            DivergenceError: a simulation diverged; names seed, episode and step.
+        Returns:
+            Those of which the simulation diverged, which stay where they were: number of the
+            trial to words that name seed, episode and step.
         """
-        try:
-            self.states[which] = self.simulator.step(self.states[which], actions)
-        except DivergenceError as error:
-            trial = which[error.which[0]]
-            step = int(self._taken[trial])
-            where = f"seed {self._seed}, episode {self._first + trial}, step {step}"
-            message = f"the simulation diverged: {where}"
-            raise DivergenceError([int(which[n]) for n in error.which], step, message) from error
+        errors: dict[int, str] = {}
+        while len(which):
+            try:
+                self.states[which] = self.simulator.step(self.states[which], actions)
+                break
+            except DivergenceError as error:
+                for trial in which[error.which].tolist():
+                    where = f"episode {self._first + trial}, step {self._taken[trial]}"
+                    errors[trial] = f"the simulation diverged: seed {self._seed}, {where}"
+                which, actions = np.delete(which, error.which), np.delete(actions, error.which, 0)
         self._taken[which] += 1
+        return errors
 
     def success(self, which: Indices) -> NDArray[np.bool_]:
         """Return whether everything is where the task wants it."""
