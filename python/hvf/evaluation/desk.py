@@ -208,13 +208,17 @@ class DeskTrials:
 
         These are the states after each of the task's ``J`` objects but the last. Where that is
         fewer than asked for, also those in which the finger is beside each object, ready to push
-        it: ``2 J - 1`` in all. They are chosen evenly; beyond that, the last is repeated.
+        it: ``2 J - 1`` in all. Where that is still fewer, five states for each object, see
+        :class:`~hvf.envs.desk.tasks.Episodes`: ``5 J - 1``. They are chosen evenly; beyond that,
+        the last is repeated.
         """
-        stages, approaches = self.episodes.stages, self.episodes.approaches
-        way = stages[:, :-1]
-        if count > way.shape[1]:
-            both = np.stack([approaches, stages], axis=2)
-            way = both.reshape(len(self), -1, stages.shape[-1])[:, :-1]
+        ways, stages = self.episodes.ways, self.episodes.stages
+        objects = stages.shape[1]
+        if count < objects:
+            ways = stages[:, :, None]
+        elif count < 2 * objects:
+            ways = np.stack([self.episodes.approaches, stages], axis=2)
+        way = ways.reshape(len(self), -1, stages.shape[-1])[:, :-1]
         most = way.shape[1]
         # All of them, or the middle ones of equal parts.
         chosen = np.minimum(np.arange(count), most - 1)
