@@ -314,6 +314,8 @@ def test_learned_models_that_are_not_there_are_one_clear_error(pool: DeskPool) -
         ({"replan_every": 16}, "^replan_every: "),
         ({"replan_every": 0}, "^replan_every: "),
         ({"steps": 0}, "^steps: "),
+        ({"initial": "normal", "initial_std": 0.0}, "^initial_std: "),
+        ({"reached_blur": -1.0}, "^reached_blur: "),
         ({"initial": "rightward"}, "^initial: "),
     ],
 )

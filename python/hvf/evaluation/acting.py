@@ -92,13 +92,16 @@ class Acting:
         steps_per_subgoal: most steps towards one subgoal, ``T*``.
         threshold: cost below which a subgoal counts as reached; 0 never.
         reached: which cost that is: ``"observed"``, the pixel cost of the observation to the
-            subgoal, unblurred; or ``"planned"``, the predicted cost of the plan to it.
+            subgoal; or ``"planned"``, the predicted cost of the plan to it.
+        reached_blur: standard deviation, pixels, of a Gaussian blur through which observation
+            and subgoal are compared; 0 for none.
     """
 
     steps: int = 50
     steps_per_subgoal: int = 10
     threshold: float = 1e-3
     reached: Literal["observed", "planned"] = "observed"
+    reached_blur: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("steps", "steps_per_subgoal"):
@@ -106,6 +109,10 @@ class Acting:
                 raise ValueError(f"{name}: must be at least 1, got {getattr(self, name)}")
         if not self.threshold >= 0:
             raise ValueError(f"threshold: must not be negative, got {self.threshold}")
+        if not 0 <= self.reached_blur < np.inf:
+            raise ValueError(
+                f"reached_blur: must be finite and not negative, got {self.reached_blur}"
+            )
         if self.reached not in ("observed", "planned"):
             raise ValueError(f"reached: must be 'observed' or 'planned', got {self.reached!r}")
 
@@ -205,8 +212,8 @@ def act(
         if config.reached == "observed":
             # One at a time: the next subgoal may be reached already.
             while True:
-                close = hvf_core.image_cost(observations, aim(running)) < config.threshold
-                close &= aiming_at_subgoal(running)
+                left = hvf_core.image_cost(observations, aim(running), blur=config.reached_blur)
+                close = (left < config.threshold) & aiming_at_subgoal(running)
                 if not close.any():
                     break
                 go_on(running[close], step)
