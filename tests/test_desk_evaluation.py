@@ -380,6 +380,16 @@ def test_a_trial_that_diverges_fails_and_says_where_and_the_others_go_on(
     assert [trial.error for trial in undisturbed.trials] == [None] * 3
 
 
+def test_the_simulators_preset_is_a_whole_command(tmp_path: Path) -> None:
+    out = tmp_path / "report.json"
+    words = ["--preset=simulator", "--task=door", "--trials=1", f"--out={out}", "--workers=1"]
+    cheap = ["--samples=2", "--elites=1", "--keep-elites=1", "--iterations=1", "--steps=1"]
+    assert main(["eval", "desk", *words, *cheap]) == 0
+    config = load(out).config
+    assert (config["agent"], config["model"]) == ("none", "simulator")
+    assert config["planning"]["horizon"] == DeskEvaluation.of("simulator").planning.horizon
+
+
 WORDS = [f"--{name.replace('_', '-')}={value}" for name, value in CHEAP.items()]
 WORDS += ["--task", "door", "--model", "simulator", "--workers", "1"]
 

@@ -107,6 +107,10 @@ class DeskEvaluation(Evaluation):
         ),
     }
 
+    preset_settings: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "simulator": {"model": "simulator", "agent": "none"},
+    }
+
     task: TaskName = "door_two_block"
     model: ModelName = "learned"
     dynamics: Path | None = None
