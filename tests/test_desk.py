@@ -204,6 +204,24 @@ def test_a_batch_gives_what_single_desks_give_on_any_number_of_threads(
             np.testing.assert_array_equal(state[0], together[i, step])
 
 
+def test_rest_is_slept_through_but_nothing_sleeps_in_the_air(simulator: DeskSimulator) -> None:
+    blocks = np.array([[0.45, y, 0.035] for y in (-0.25, 0.0, 0.25)])
+    state = settled(simulator, [empty_table(blocks=blocks, end_effector=(0.45, -0.06, 0.05))])
+    np.testing.assert_array_equal(state[0, desk.POSITIONS :], 0.0)
+    hanging = state.copy()
+    hanging[0, desk.BLOCKS.start + 7 + 2] += 0.05
+    for _ in range(3):
+        hanging = simulator.step(hanging, np.zeros((1, 3)))
+    assert np.abs(desk.block_positions(hanging)[0, 1, 2] - 0.035) < 1e-3
+    # What the arm touches wakes up, and what that touches.
+    pushed = state
+    for _ in range(8):
+        pushed = simulator.step(pushed, np.array([[0.0, 0.5, -0.2]]))
+    moved = np.abs(desk.block_positions(pushed) - desk.block_positions(state))[0].max(axis=1)
+    assert moved[0] < 1e-6
+    assert (moved[1:] > 0.02).all()
+
+
 def test_hostile_actions_do_no_harm(simulator: DeskSimulator) -> None:
     """Full speed along every axis and diagonal, and back and forth, for 40 steps."""
     directions = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(27, 3).astype(float)

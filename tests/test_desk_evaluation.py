@@ -19,7 +19,10 @@ from hvf.envs.desk.pool import DeskPool
 from hvf.envs.desk.rendering import project
 from hvf.envs.desk.scene import BLOCKS
 from hvf.envs.desk.simulator import (
+    DOOR,
+    STATE_SIZE,
     STEP_LENGTH,
+    WORKSPACE,
     DeskSimulator,
     Floats,
     block_positions,
@@ -27,7 +30,7 @@ from hvf.envs.desk.simulator import (
 )
 from hvf.envs.desk.tasks import TASKS, TaskName, make_episodes, object_success
 from hvf.evaluation.desk import DeskEvaluation, DeskPlanning, DeskTask, DeskTrials
-from hvf.evaluation.evaluate import load
+from hvf.evaluation.evaluate import evaluate, load
 from hvf.worlds.desk import DeskWorldConfig, load_desk
 from hvf.worlds.desk_simulator import DeskFrames, DeskSimulatorWorld
 
@@ -109,7 +112,9 @@ def test_success_is_that_of_the_goal_state(pool: DeskPool, task: TaskName) -> No
         ("door", 1, ["before 0"]),
         ("two_block", 1, ["after 0"]),
         ("two_block", 3, ["before 0", "after 0", "before 1"]),
-        ("two_block", 4, ["before 0", "after 0", "before 1", "before 1"]),
+        ("door", 4, ["0", "1", "2", "3"]),
+        ("two_block", 4, ["1", "3", "5", "7"]),
+        ("two_block", 10, ["0", "1", "2", "3", "4", "5", "6", "7", "8", "8"]),
         ("door_two_block", 1, ["after 0"]),
         ("door_two_block", 2, ["after 0", "after 1"]),
         ("door_two_block", 5, ["before 0", "after 0", "before 1", "after 1", "before 2"]),
@@ -121,11 +126,15 @@ def test_true_subgoals_are_states_on_the_way(
     trials = DeskTrials(pool, SEED, 0, 2, task)
     subgoals = trials.true_subgoals(count)
     assert subgoals.shape == (2, count, SIZE, SIZE, 3)
+    episodes = trials.episodes
+    kinds = {
+        "before": episodes.approaches,
+        "after": episodes.stages,
+        "": episodes.ways.reshape(2, -1, STATE_SIZE),
+    }
     for k, words in enumerate(way):
-        when, number = words.split()
-        episodes = trials.episodes
-        states = episodes.approaches if when == "before" else episodes.stages
-        np.testing.assert_array_equal(subgoals[:, k], pool.render(states[:, int(number)]))
+        when, _, number = words.rpartition(" ")
+        np.testing.assert_array_equal(subgoals[:, k], pool.render(kinds[when][:, int(number)]))
 
 
 def test_before_an_object_nothing_has_moved_and_a_straight_push_does_it(
@@ -147,6 +156,32 @@ def test_before_an_object_nothing_has_moved_and_a_straight_push_does_it(
         done += int((found | ~wanted).all(axis=1).sum())
     # A cube may turn away from a push that nobody corrects.
     assert done >= 15
+
+
+def test_the_way_goes_over_an_object_then_beside_it_and_pushes_it_all_the_way(
+    simulator: DeskSimulator,
+) -> None:
+    episodes = make_episodes(simulator, "door_block", SEED, 0, 6)
+    tips = end_effectors(episodes.ways.reshape(-1, STATE_SIZE)).reshape(6, 2, 5, 3)
+    rows = np.arange(6)
+    # The cube: above, then low; behind it while it goes; it falls last.
+    cube = episodes.blocks.argmax(axis=1)
+    places = np.stack([block_positions(way)[:, cube] for way in episodes.ways[:, 0]])
+    places = places[rows, :, rows]
+    np.testing.assert_allclose(tips[:, 0, 0, 2], WORKSPACE[1, 2], atol=3e-3)
+    np.testing.assert_allclose(tips[:, 0, 1:4, 2], WORKSPACE[0, 2], atol=3e-3)
+    np.testing.assert_allclose(tips[:, 0, 0, :2], tips[:, 0, 1, :2], atol=3e-3)
+    side = np.sign(places[:, 4, 1])
+    assert (np.diff(side[:, None] * places[:, 1:, 1]) > 0).all()
+    assert (side[:, None] * (places - tips[:, 0])[:, 1:4, 1] > 0.05).all()
+    np.testing.assert_allclose(places[:, :4, 2], 0.035, atol=2e-3)
+    assert (places[:, 4, 2] < 0).all()
+    # The door: by thirds, and the finger beside the handle all the while.
+    doors = episodes.ways[:, 1, :, DOOR]
+    parts = doors / doors[:, :1]
+    np.testing.assert_allclose(parts, np.tile([1, 1, 2 / 3, 1 / 3, 0], (6, 1)), atol=0.04)
+    beside = tips[:, 1, 2:, 1] - doors[:, 2:]
+    np.testing.assert_allclose(beside, beside[0, 0], atol=5e-3)
 
 
 def test_points_are_projected_to_where_they_are_drawn(pool: DeskPool) -> None:
@@ -279,6 +314,8 @@ def test_learned_models_that_are_not_there_are_one_clear_error(pool: DeskPool) -
         ({"replan_every": 16}, "^replan_every: "),
         ({"replan_every": 0}, "^replan_every: "),
         ({"steps": 0}, "^steps: "),
+        ({"initial": "normal", "initial_std": 0.0}, "^initial_std: "),
+        ({"reached_blur": -1.0}, "^reached_blur: "),
         ({"initial": "rightward"}, "^initial: "),
     ],
 )
@@ -313,6 +350,44 @@ def test_processes_and_neighbours_do_not_change_a_trial(
     assert together.decisions == 6
     if agent == "ground-truth":
         assert alone[0].switches == (1,)
+
+
+def test_a_trial_that_diverges_fails_and_says_where_and_the_others_go_on(
+    pool: DeskPool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    evaluation = DeskEvaluation.of(
+        agent="random", task="door", model="simulator", seed=SEED, steps=4
+    )
+    step = DeskTrials.step
+
+    def disturbed(self: DeskTrials, which: np.ndarray, actions: np.ndarray) -> dict[int, str]:
+        if (self._taken == 2).all():
+            self.states[1, 40:] = 1e12
+        return step(self, which, actions)
+
+    with DeskTask(evaluation, pool=pool) as task:
+        undisturbed = evaluate(task, 3, chunk=3)
+        monkeypatch.setattr(DeskTrials, "step", disturbed)
+        out = tmp_path / "report.json"
+        evaluate(task, 3, out, chunk=3)
+    trials = load(out).trials
+    words = f"the simulation diverged: seed {SEED}, episode 1, step 2"
+    assert [(trial.success, trial.steps, trial.error) for trial in trials] == [
+        (False, 4, None),
+        (False, 2, words),
+        (False, 4, None),
+    ]
+    assert [trial.error for trial in undisturbed.trials] == [None] * 3
+
+
+def test_the_simulators_preset_is_a_whole_command(tmp_path: Path) -> None:
+    out = tmp_path / "report.json"
+    words = ["--preset=simulator", "--task=door", "--trials=1", f"--out={out}", "--workers=1"]
+    cheap = ["--samples=2", "--elites=1", "--keep-elites=1", "--iterations=1", "--steps=1"]
+    assert main(["eval", "desk", *words, *cheap]) == 0
+    config = load(out).config
+    assert (config["agent"], config["model"]) == ("none", "simulator")
+    assert config["planning"]["horizon"] == DeskEvaluation.of("simulator").planning.horizon
 
 
 WORDS = [f"--{name.replace('_', '-')}={value}" for name, value in CHEAP.items()]

@@ -47,8 +47,9 @@ class Line:
     def observe(self, which: np.ndarray) -> np.ndarray:
         return images(self.at[which])
 
-    def step(self, which: np.ndarray, actions: np.ndarray) -> None:
+    def step(self, which: np.ndarray, actions: np.ndarray) -> dict[int, str]:
         self.at[which] += actions[:, 0].astype(int)
+        return {}
 
     def success(self, which: np.ndarray) -> np.ndarray:
         return self.at[which] == 9

@@ -14,7 +14,7 @@ A trial's result depends on its own seed only, not on which others run beside it
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -43,8 +43,12 @@ class Trials(Protocol):
         """Return the images that the trials ``which`` see now, uint8 ``[N, H, W, 3]``."""
         ...
 
-    def step(self, which: Indices, actions: NDArray[np.float32]) -> None:
-        """Apply ``actions[N, A]`` to the trials ``which``."""
+    def step(self, which: Indices, actions: NDArray[np.float32]) -> Mapping[int, str]:
+        """Apply ``actions[N, A]`` to the trials ``which``.
+
+        Returns:
+            Those of them that cannot go on, with the reason: number of the trial to words.
+        """
         ...
 
     def success(self, which: Indices) -> NDArray[np.bool_]:
@@ -88,13 +92,16 @@ class Acting:
         steps_per_subgoal: most steps towards one subgoal, ``T*``.
         threshold: cost below which a subgoal counts as reached; 0 never.
         reached: which cost that is: ``"observed"``, the pixel cost of the observation to the
-            subgoal, unblurred; or ``"planned"``, the predicted cost of the plan to it.
+            subgoal; or ``"planned"``, the predicted cost of the plan to it.
+        reached_blur: standard deviation, pixels, of a Gaussian blur through which observation
+            and subgoal are compared; 0 for none.
     """
 
     steps: int = 50
     steps_per_subgoal: int = 10
     threshold: float = 1e-3
     reached: Literal["observed", "planned"] = "observed"
+    reached_blur: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("steps", "steps_per_subgoal"):
@@ -102,6 +109,10 @@ class Acting:
                 raise ValueError(f"{name}: must be at least 1, got {getattr(self, name)}")
         if not self.threshold >= 0:
             raise ValueError(f"threshold: must not be negative, got {self.threshold}")
+        if not 0 <= self.reached_blur < np.inf:
+            raise ValueError(
+                f"reached_blur: must be finite and not negative, got {self.reached_blur}"
+            )
         if self.reached not in ("observed", "planned"):
             raise ValueError(f"reached: must be 'observed' or 'planned', got {self.reached!r}")
 
@@ -115,12 +126,14 @@ class Trial:
         steps: steps taken.
         switches: steps before which the next subgoal was taken, at most ``K``.
         costs: predicted cost of the plan at every step; empty for an agent without plans.
+        error: why it ended before its time, in failure: the environment broke down; else None.
     """
 
     success: bool
     steps: int
     switches: tuple[int, ...]
     costs: tuple[float, ...]
+    error: str | None = None
 
 
 @dataclass(frozen=True)
@@ -173,6 +186,7 @@ def act(
     switches: list[list[int]] = [[] for _ in range(count)]
     costs: list[list[float]] = [[] for _ in range(count)]
     succeeded, taken = np.zeros(count, bool), np.zeros(count, np.int64)
+    errors: dict[int, str] = {}
     acting_seconds, decisions = 0.0, 0
 
     def aim(which: Indices) -> Images:
@@ -188,7 +202,7 @@ def act(
         return np.array([current[trial] + 1 < len(aims[trial]) for trial in which])
 
     for step in range(config.steps):
-        running = np.flatnonzero(~succeeded)
+        running = np.array([b for b in np.flatnonzero(~succeeded) if b not in errors], np.int64)
         if not len(running):
             break
         observations = trials.observe(running)
@@ -198,8 +212,8 @@ def act(
         if config.reached == "observed":
             # One at a time: the next subgoal may be reached already.
             while True:
-                close = hvf_core.image_cost(observations, aim(running)) < config.threshold
-                close &= aiming_at_subgoal(running)
+                left = hvf_core.image_cost(observations, aim(running), blur=config.reached_blur)
+                close = (left < config.threshold) & aiming_at_subgoal(running)
                 if not close.any():
                     break
                 go_on(running[close], step)
@@ -223,7 +237,10 @@ def act(
                 planned[close] = again.costs
         acting_seconds += time.perf_counter() - begin
         decisions += len(running)
-        trials.step(running, actions)
+        broken = trials.step(running, actions)
+        errors.update(broken)
+        sound = np.array([trial not in broken for trial in running])
+        running, planned = running[sound], planned if planned is None else planned[sound]
         since[running] += 1
         taken[running] += 1
         if planned is not None:
@@ -233,7 +250,7 @@ def act(
         if after_step is not None:
             after_step(step + 1, running)
     results = [
-        Trial(bool(succeeded[b]), int(taken[b]), tuple(switches[b]), tuple(costs[b]))
+        Trial(bool(succeeded[b]), int(taken[b]), tuple(switches[b]), tuple(costs[b]), errors.get(b))
         for b in range(count)
     ]
     return Outcome(results, subgoals, search_seconds, acting_seconds, decisions)

@@ -59,6 +59,7 @@ class TrialRecord:
         switches: steps before which the next subgoal was taken.
         search_seconds: time of its subgoal search: its share of its chunk's.
         step_seconds: time of deciding on one action: its share of its chunk's.
+        error: why it ended before its time, in failure; else None.
     """
 
     index: int
@@ -67,6 +68,7 @@ class TrialRecord:
     switches: tuple[int, ...]
     search_seconds: float
     step_seconds: float
+    error: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -196,6 +198,8 @@ def evaluate(
             for first, count in _runs(missing, chunk):
                 for record in records(task.run(first, count), first):
                     done[record.index] = record
+                    if record.error is not None:
+                        console.print(f"{task.name}: {record.error}")
                 if out is not None:
                     save(report(done), out)
                 successes = sum(record.success for record in done.values())
@@ -334,6 +338,8 @@ def records(outcome: Outcome, first: int) -> list[TrialRecord]:
     search = outcome.search_seconds / len(outcome.trials)
     step = outcome.acting_seconds / max(outcome.decisions, 1)
     return [
-        TrialRecord(first + offset, trial.success, trial.steps, trial.switches, search, step)
+        TrialRecord(
+            first + offset, trial.success, trial.steps, trial.switches, search, step, trial.error
+        )
         for offset, trial in enumerate(outcome.trials)
     ]

@@ -192,9 +192,10 @@ class MazeTrials:
         """Return images of the scenes now."""
         return self._render(self.states[which])
 
-    def step(self, which: Indices, actions: NDArray[np.float32]) -> None:
-        """Apply ``actions[N, 2]`` for half a second."""
+    def step(self, which: Indices, actions: NDArray[np.float32]) -> dict[int, str]:
+        """Apply ``actions[N, 2]`` for half a second; nothing can go wrong."""
         self.states[which] = hvf_core.maze_step(self.states[which], actions)
+        return {}
 
     def success(self, which: Indices) -> NDArray[np.bool_]:
         """Return whether agents are within 0.05 m of their targets."""

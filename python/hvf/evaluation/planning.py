@@ -33,6 +33,7 @@ class Planning:
         steps_per_subgoal: most steps towards one subgoal (T*).
         threshold: cost below which a subgoal counts as reached.
         reached: which cost that is: of the observed frame, or planned.
+        reached_blur: as ``blur``, for the observed frame and the subgoal.
     """
 
     samples: int = 200
@@ -51,6 +52,7 @@ class Planning:
     steps_per_subgoal: int = 10
     threshold: float = 1e-3
     reached: Literal["observed", "planned"] = "observed"
+    reached_blur: float = 0.0
 
     def __post_init__(self) -> None:
         # The planners check what is theirs.
@@ -60,7 +62,9 @@ class Planning:
 
     def rule(self, steps: int) -> Acting:
         """The rule of acting, for trials of ``steps`` steps (T)."""
-        return Acting(steps, self.steps_per_subgoal, self.threshold, self.reached)
+        return Acting(
+            steps, self.steps_per_subgoal, self.threshold, self.reached, self.reached_blur
+        )
 
     @property
     def mpc(self) -> hvf_core.VisualMPC:

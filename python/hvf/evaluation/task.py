@@ -54,6 +54,8 @@ class Evaluation(abc.ABC):
 
     presets: ClassVar[Mapping[str, Planning]]
     """Settings of planning by the name of their preset; ``"default"`` is one of them."""
+    preset_settings: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """What else a preset begins with."""
 
     agent: AgentName = "hvf"
     subgoals: int = 2
@@ -82,7 +84,8 @@ class Evaluation(abc.ABC):
             names = ", ".join(map(repr, cls.presets))
             raise ValueError(f"preset: must be one of {names}, got {preset!r}")
         own = {field.name for field in dataclasses.fields(cls)}
-        mine = {name: value for name, value in settings.items() if name in own}
+        mine = dict(cls.preset_settings.get(preset, {}))
+        mine |= {name: value for name, value in settings.items() if name in own}
         rest = {name: value for name, value in settings.items() if name not in own}
         planning = mine.pop("planning", cls.presets[preset])
         return cls(planning=dataclasses.replace(planning, **rest), **mine)

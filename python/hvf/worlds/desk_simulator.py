@@ -1,7 +1,7 @@
 """The desk's true dynamics as a world model: MuJoCo rolled out, drawn, and compared in pixels.
 
 It tells errors of a learned model apart from those of the cost and of the search. It is slow,
-about 50 rollouts of 15 steps a second and core; nearly all of it is physics, so candidates are
+about 100 rollouts of 15 steps a second and core; nearly all of it is physics, so candidates are
 spread over the pool's processes, which draw and compare what they have rolled out.
 
 Letters in shapes: ``B`` problems, ``D`` candidates per problem, ``H`` steps, ``N`` frames, ``S``

@@ -26,7 +26,7 @@ from hvf.envs.desk.simulator import DeskSimulator, DivergenceError, Floats, chec
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_CHUNK = 16
+_CHUNK = 64
 """States that a process is given at a time, at most."""
 
 

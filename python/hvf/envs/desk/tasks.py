@@ -66,6 +66,12 @@ _AT_EDGE_Z = 0.04
 # Where it is before: beside the cube however that is turned, and a little off the handle.
 _BESIDE_BLOCK = BLOCK_REACH + panda.FINGER[1] + 0.012
 _BESIDE_HANDLE = 0.010
+# As high as the finger goes, above the cubes; as low, so that it does not rise over one.
+_HOVER_Z, _PUSH_Z = float(WORKSPACE[1, 2]), float(WORKSPACE[0, 2])
+# On the way: behind a cube that it pushes, here as far as the brink; and in front of the handle.
+_BEHIND_BLOCK = BLOCK_SIZE / 2 + panda.FINGER[1] + 0.002
+_BRINK_Y = TABLE_Y - 0.02
+_IN_FRONT_X = HANDLE_X - 0.09
 # A cube that was pushed over the edge lies this far out, on the floor.
 _FALLEN_Y = TABLE_Y + 0.09
 
@@ -77,17 +83,27 @@ class Episodes:
     Attributes:
         task: name of the task.
         starts: states, float64 ``[B, 63]``.
-        approaches: states in which the finger is beside each object, ready to push it, with
-            all before it dealt with: float64 ``[B, J, 63]``.
-        stages: states after each object, float64 ``[B, J, 63]``; ``stages[:, -1]`` are the goals.
+        ways: five states on the way for each object, float64 ``[B, J, 5, 63]``. A cube: the finger
+            is above the place beside it; at that place; has pushed it half way to the table's
+            edge; to the brink; it has fallen. The door: the finger is in front of the place
+            beside its handle; at that place; has closed a third; two thirds; all of it.
         blocks: which cubes have to leave the table, bool ``[B, 3]``.
     """
 
     task: TaskName
     starts: Floats
-    approaches: Floats
-    stages: Floats
+    ways: Floats
     blocks: NDArray[np.bool_]
+
+    @property
+    def approaches(self) -> Floats:
+        """States in which the finger is beside each object, ready to push it: ``[B, J, 63]``."""
+        return self.ways[:, :, 1]
+
+    @property
+    def stages(self) -> Floats:
+        """States after each object, ``[B, J, 63]``."""
+        return self.ways[:, :, -1]
 
     @property
     def goals(self) -> Floats:
@@ -121,8 +137,9 @@ def make_episodes(
         starts.append(start)
         ways += _way(start, task, moved)
     states = settled(simulator, [*starts, *ways]) if count else np.empty((0, 63))
-    way = states[count:].reshape(count, 2 * sum(_OBJECTS[task]), -1)
-    return Episodes(task, states[:count], way[:, ::2], way[:, 1::2], blocks)
+    return Episodes(
+        task, states[:count], states[count:].reshape(count, sum(_OBJECTS[task]), 5, -1), blocks
+    )
 
 
 def object_success(task: TaskName, blocks: NDArray[np.bool_], states: Floats) -> NDArray[np.bool_]:
@@ -166,30 +183,44 @@ def _start(rng: np.random.Generator, task: TaskName) -> tuple[Arrangement, list[
 
 
 def _way(start: Arrangement, task: TaskName, moved: list[int]) -> list[Arrangement]:
-    """Before and after each object: cubes over a side of the table, then the door.
+    """Five states for each object, see ``Episodes``: cubes over a side of the table, then the door.
 
-    The arm is where it would be before and after moving the object.
+    The arm is where it would be before, while and after moving the object.
     """
     way, now = [], start
     for block in moved:
-        blocks = now.blocks.copy()
-        x, y, _ = blocks[block]
+        x, y, _ = now.blocks[block].tolist()
         side = _side(now, block)
-        blocks[block] = (x, side * _fallen(now, x, side), BASE[2] + BLOCK_SIZE / 2)
-        before = (float(x), float(y - side * _BESIDE_BLOCK), _AT_EDGE_Z)
-        tip = (float(x), side * _AT_EDGE_Y, _AT_EDGE_Z)
-        yaws = now.yaws.copy()
-        yaws[block] = 0.0
-        way.append(dataclasses.replace(now, end_effector=before))
-        now = dataclasses.replace(now, blocks=blocks, yaws=yaws, end_effector=tip)
+        for height in (_HOVER_Z, _PUSH_Z):
+            place = (x, y - side * _BESIDE_BLOCK, height)
+            way.append(dataclasses.replace(now, end_effector=place))
+        for to in ((y + side * _BRINK_Y) / 2, side * _BRINK_Y):
+            behind = (x, to - side * _BEHIND_BLOCK, _PUSH_Z)
+            way.append(_with_block(now, block, (x, to, BLOCK_SIZE / 2), behind))
+        fallen = (x, side * _fallen(now, x, side), float(BASE[2] + BLOCK_SIZE / 2))
+        now = _with_block(now, block, fallen, (x, side * _AT_EDGE_Y, _AT_EDGE_Z))
         way.append(now)
     if _OBJECTS[task][0]:
         x, y, z = _AT_HANDLE
-        before = (x, min(y + now.door + _BESIDE_HANDLE, WORKSPACE[1, 1]), z)
-        way.append(dataclasses.replace(now, end_effector=before))
-        now = dataclasses.replace(now, door=0.0, end_effector=_AT_HANDLE)
-        way.append(now)
+        beside = min(y + now.door + _BESIDE_HANDLE, float(WORKSPACE[1, 1]))
+        for place in ((_IN_FRONT_X, beside, _HOVER_Z), (x, beside, z)):
+            way.append(dataclasses.replace(now, end_effector=place))
+        for door in (now.door * 2 / 3, now.door / 3):
+            way.append(dataclasses.replace(now, door=door, end_effector=(x, y + door, z)))
+        way.append(dataclasses.replace(now, door=0.0, end_effector=_AT_HANDLE))
     return way
+
+
+def _with_block(
+    now: Arrangement,
+    block: int,
+    place: tuple[float, float, float],
+    end_effector: tuple[float, float, float],
+) -> Arrangement:
+    """With a cube somewhere else, square to the table as pushing leaves it, and so the finger."""
+    blocks, yaws = now.blocks.copy(), now.yaws.copy()
+    blocks[block], yaws[block] = place, 0.0
+    return dataclasses.replace(now, blocks=blocks, yaws=yaws, end_effector=end_effector)
 
 
 def _side(now: Arrangement, block: int) -> float:
