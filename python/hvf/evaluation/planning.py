@@ -69,8 +69,12 @@ class Planning:
     @property
     def mpc(self) -> hvf_core.VisualMPC:
         """Search for actions."""
+        return self.mpc_over(self.horizon)
+
+    def mpc_over(self, horizon: int) -> hvf_core.VisualMPC:
+        """Search for actions over another horizon."""
         return hvf_core.VisualMPC(
-            horizon=self.horizon,
+            horizon=horizon,
             samples=self.samples,
             elites=self.elites,
             iterations=self.iterations,
