@@ -50,7 +50,7 @@ impl PyLayerFrames {
         let (count, size) = (self.inner.len(), self.inner.image_size());
         let mut bytes = Vec::with_capacity(count * size * size * 3);
         for i in 0..count {
-            bytes.extend_from_slice(self.inner.image(i));
+            bytes.extend_from_slice(&self.inner.image(i));
         }
         ndarray::Array4::from_shape_vec((count, size, size, 3), bytes)
             .unwrap_or_default()

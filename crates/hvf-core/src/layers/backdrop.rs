@@ -1,11 +1,15 @@
 //! What is behind everything, for every place of what slides: a table of images.
 //!
-//! The twin of `hvf.models.desk.backdrop.Backdrop.draw`: bilinear interpolation in the table.
+//! The twin of `hvf.models.desk.backdrop.Backdrop.draw`: bilinear interpolation in the table. Most
+//! of an image is the same wherever the sliders are, so images are kept as numbers of tiles, and
+//! whether two places look the same is seen from the numbers.
+
+use std::collections::HashMap;
 
 use ndarray::ArrayView5;
 
 use super::cell::SLIDERS;
-use super::tiles::Tiles;
+use super::tiles::{Tiles, BLOCK};
 use crate::{Error, Result};
 
 /// Images over the coordinates of the sliders.
@@ -13,12 +17,25 @@ use crate::{Error, Result};
 pub struct Backdrop {
     bins: [usize; SLIDERS],
     tiles: Tiles,
-    /// `[bins * bins]` images in tiles.
-    table: Vec<u8>,
+    /// Different tiles, `[tiles][3][T * T]`.
+    looks: Vec<[u8; BLOCK]>,
+    /// Number of the look of each tile of each image, `[bins * bins][tiles]`.
+    index: Vec<u32>,
 }
 
-/// The four images of the table that a backdrop is made of, and how much of each.
-pub type Corners = [(usize, f32); 4];
+/// The images of the table that a backdrop is made of, and how much of each.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Corners {
+    corners: [(usize, f32); 4],
+    count: usize,
+}
+
+impl Corners {
+    #[inline(always)]
+    fn all(&self) -> &[(usize, f32)] {
+        &self.corners[..self.count]
+    }
+}
 
 impl Backdrop {
     /// Height and width of the images of a table, `S`.
@@ -52,12 +69,20 @@ impl Backdrop {
             ));
         }
         let (first, second, ..) = table.dim();
-        let image = |place: usize| {
+        let mut numbers: HashMap<Vec<u8>, u32> = HashMap::new();
+        let (mut looks, mut index) = (Vec::new(), Vec::new());
+        for place in 0..first * second {
             let (i, j) = (place / second, place % second);
-            tiles.cut(|row, column, colour| table[[i, j, colour, row, column]])
-        };
-        let table = (0..first * second).flat_map(image).collect();
-        Ok(Self { bins: [first, second], tiles, table })
+            let image = tiles.cut(|row, column, colour| table[[i, j, colour, row, column]]);
+            for look in image.chunks_exact(tiles.values()) {
+                let next = numbers.len() as u32;
+                index.push(*numbers.entry(look.to_vec()).or_insert_with(|| {
+                    looks.extend_from_slice(look.as_chunks::<BLOCK>().0);
+                    next
+                }));
+            }
+        }
+        Ok(Self { bins: [first, second], tiles, looks, index })
     }
 
     /// How images are cut.
@@ -76,26 +101,63 @@ impl Backdrop {
         }
         let first = low[0] * self.bins[1] + low[1];
         let (down, right) = (share[0], share[1]);
-        [
+        let four = [
             (first, (1.0 - down) * (1.0 - right)),
             (first + 1, (1.0 - down) * right),
             (first + self.bins[1], down * (1.0 - right)),
             (first + self.bins[1] + 1, down * right),
-        ]
+        ];
+        // Sliders are often at the end of their way, right at a place of the table.
+        let mut found = Corners::default();
+        for corner in four {
+            if corner.1 != 0.0 {
+                found.corners[found.count] = corner;
+                found.count += 1;
+            }
+        }
+        found
     }
 
-    /// Draws one tile, `[3][T * T]` in [0, 1].
+    /// Numbers of the looks of an image of the table.
+    #[inline(always)]
+    fn looks_of(&self, place: usize) -> &[u32] {
+        &self.index[place * self.tiles.count()..][..self.tiles.count()]
+    }
+
+    /// Sets `changed[tiles]` to whether a tile may look different at these two places.
+    #[inline(always)]
+    pub fn compare(&self, before: &Corners, after: &Corners, changed: &mut [bool]) {
+        changed.fill(false);
+        let Some((&(place, _), rest)) = before.all().split_first() else { return };
+        let first = self.looks_of(place);
+        for &(other, _) in rest.iter().chain(after.all()) {
+            if other == place {
+                continue;
+            }
+            for ((changed, a), b) in changed.iter_mut().zip(first).zip(self.looks_of(other)) {
+                *changed |= a != b;
+            }
+        }
+    }
+
+    /// Draws one tile, `[3][T * T]` in 0 to 255.
     #[inline(always)]
     pub fn draw(&self, corners: &Corners, tile: usize, out: &mut [f32]) {
-        let length = out.len();
-        let image = |(place, _): (usize, f32)| {
-            &self.table[(place * self.tiles.count() + tile) * length..][..length]
-        };
-        let [a, b, c, d] = corners.map(image);
-        let [wa, wb, wc, wd] = corners.map(|(_, weight)| weight / 255.0);
-        for ((((out, a), b), c), d) in out.iter_mut().zip(a).zip(b).zip(c).zip(d) {
-            let upper = wb.mul_add(f32::from(*b), wa * f32::from(*a));
-            *out = wd.mul_add(f32::from(*d), wc.mul_add(f32::from(*c), upper));
+        let blocks = self.tiles.values() / BLOCK;
+        let mut looks: [(&[[u8; BLOCK]], f32); 4] = [(&[], 0.0); 4];
+        for (look, &(place, weight)) in looks.iter_mut().zip(corners.all()) {
+            let number = self.looks_of(place)[tile] as usize;
+            *look = (&self.looks[number * blocks..][..blocks], weight);
+        }
+        for (block, out) in out.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
+            let mut sums = [0.0; BLOCK];
+            for (look, weight) in &looks[..corners.count] {
+                let values = &look[block];
+                for i in 0..BLOCK {
+                    sums[i] = weight.mul_add(f32::from(values[i]), sums[i]);
+                }
+            }
+            *out = sums;
         }
     }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ndarray::{ArrayView2, ArrayView4};
 
-use super::painter::{Painter, Scene};
+use super::painter::{Painter, Start};
 use crate::planner::Frames;
 use crate::{Error, Result};
 
@@ -22,9 +22,9 @@ pub struct LayerFrames {
 #[derive(Debug)]
 struct Pool {
     painter: Arc<Painter>,
-    /// `[N, S, S, 3]`.
-    images: Vec<u8>,
     /// In tiles.
+    images: Vec<u8>,
+    /// In tiles, from 0 to 255.
     clean: Vec<f32>,
     /// `[N][R]`, in tiles.
     regions: Vec<u8>,
@@ -63,12 +63,14 @@ impl LayerFrames {
         if states.iter().any(|x| !x.is_finite()) {
             return Err(Error::invalid("states", "must be finite"));
         }
-        let cut = |i: usize| tiles.cut(|row, column, colour| clean[[i, row, column, colour]]);
+        let image = |i: usize| tiles.cut(|row, column, colour| images[[i, row, column, colour]]);
+        let cut =
+            |i: usize| tiles.cut(|row, column, colour| 255.0 * clean[[i, row, column, colour]]);
         let mask = |i: usize| {
             tiles.cut_plane(|row, column| u8::from(regions[[i / parts, i % parts, row, column]]))
         };
         let pool = Pool {
-            images: images.iter().copied().collect(),
+            images: (0..count).flat_map(image).collect(),
             clean: (0..count).flat_map(cut).collect(),
             regions: (0..count * parts).flat_map(mask).collect(),
             states: states.iter().copied().collect(),
@@ -92,10 +94,21 @@ impl LayerFrames {
         self.pool.painter.state_size()
     }
 
-    /// Image `i`, `S * S * 3` bytes.
-    pub fn image(&self, i: usize) -> &[u8] {
+    /// Image `i` in tiles, bytes.
+    pub(super) fn tiles(&self, i: usize) -> &[u8] {
         let bytes = self.image_size() * self.image_size() * 3;
         &self.pool.images[self.index[i] * bytes..][..bytes]
+    }
+
+    /// Image `i`, `[S, S, 3]`.
+    pub fn image(&self, i: usize) -> Vec<u8> {
+        let tiles = self.pool.painter.tiles();
+        let bytes = self.tiles(i);
+        let mut image = vec![0; bytes.len()];
+        for (tile, values) in bytes.chunks_exact(tiles.values()).enumerate() {
+            tiles.place(tile, values, &mut image);
+        }
+        image
     }
 
     /// State `i`, `[X]`.
@@ -103,11 +116,11 @@ impl LayerFrames {
         &self.pool.states[self.index[i] * self.state_size()..][..self.state_size()]
     }
 
-    /// Scene `i`.
-    pub(super) fn scene(&self, i: usize) -> Scene<'_> {
+    /// What candidates start from in frame `i`.
+    pub(super) fn start(&self, i: usize) -> Start<'_> {
         let pixels = self.image_size() * self.image_size();
         let parts = self.pool.painter.roaming();
-        Scene {
+        Start {
             clean: &self.pool.clean[self.index[i] * pixels * 3..][..pixels * 3],
             regions: &self.pool.regions[self.index[i] * pixels * parts..][..pixels * parts],
             state: self.state(i),

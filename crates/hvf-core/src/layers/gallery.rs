@@ -5,7 +5,7 @@
 
 use ndarray::{ArrayView2, ArrayView4};
 
-use super::tiles::Tiles;
+use super::tiles::{Tiles, BLOCK};
 use crate::{Error, Result};
 
 /// Dimensions of the hand's code.
@@ -35,7 +35,7 @@ pub struct Gallery {
     step: [f32; DIMENSIONS],
     places: [usize; DIMENSIONS],
     /// `[M][4][T * T]`.
-    patches: Vec<u8>,
+    patches: Vec<[u8; BLOCK]>,
     /// `[places][tiles]`.
     index: Vec<u32>,
     tiles: Tiles,
@@ -85,11 +85,13 @@ impl Gallery {
         if images.step.iter().any(|x| !(x.is_finite() && *x > 0.0)) {
             return Err(Error::invalid("arm_step", "must be positive and finite"));
         }
+        let bytes: Vec<u8> = images.patches.iter().copied().collect();
+        let patches = bytes.as_chunks::<BLOCK>().0.to_vec();
         Ok(Self {
             low: images.low,
             step: images.step,
             places: images.places,
-            patches: images.patches.iter().copied().collect(),
+            patches,
             index: images.index.iter().map(|&number| number as u32).collect(),
             tiles,
         })
@@ -121,29 +123,69 @@ impl Gallery {
         })
     }
 
-    /// Draws opacity and colour times opacity of a tile, `[4][T * T]`; false where it is empty.
+    /// Sets `drawn[tiles]` to whether there is an arm in a tile.
     #[inline(always)]
-    pub fn draw(&self, around: &Around, tile: usize, out: &mut [f32]) -> bool {
-        let (count, length) = (self.tiles.count(), out.len());
-        let mut empty = true;
+    pub fn occupied(&self, around: &Around, drawn: &mut [bool]) {
+        drawn.fill(false);
+        let count = self.tiles.count();
+        for &(place, share) in around {
+            if share != 0.0 {
+                let numbers = &self.index[place * count..][..count];
+                for (drawn, &number) in drawn.iter_mut().zip(numbers) {
+                    *drawn |= number != 0;
+                }
+            }
+        }
+    }
+
+    /// Draws the arm before a tile `behind` (`[3][T * T]`, 0 to 255), with `arm[4][T * T]` as room.
+    #[inline(always)]
+    pub fn draw(
+        &self,
+        around: &Around,
+        tile: usize,
+        behind: &[f32],
+        arm: &mut [f32],
+        out: &mut [f32],
+    ) {
+        let (count, blocks) = (self.tiles.count(), self.tiles.plane() / BLOCK);
+        let mut patches: [(&[[u8; BLOCK]], f32); AROUND] = [(&[], 0.0); AROUND];
+        let mut seen = 0;
         for &(place, share) in around {
             let number = self.index[place * count + tile] as usize;
-            if number == 0 {
-                continue;
+            if number != 0 && share != 0.0 {
+                patches[seen] = (&self.patches[number * 4 * blocks..][..4 * blocks], share);
+                seen += 1;
             }
-            let patch = &self.patches[number * length..][..length];
-            let weight = share / 255.0;
-            if empty {
-                for (out, &value) in out.iter_mut().zip(patch) {
-                    *out = weight * f32::from(value);
-                }
-            } else {
-                for (out, &value) in out.iter_mut().zip(patch) {
-                    *out = weight.mul_add(f32::from(value), *out);
-                }
-            }
-            empty = false;
         }
-        !empty
+        for (block, arm) in arm.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
+            *arm = blend(&patches[..seen], block);
+        }
+        let (opacity, colours) = arm.split_at(self.tiles.plane());
+        for ((out, behind), colour) in out
+            .chunks_exact_mut(opacity.len())
+            .zip(behind.chunks_exact(opacity.len()))
+            .zip(colours.chunks_exact(opacity.len()))
+        {
+            for (((out, behind), colour), opacity) in
+                out.iter_mut().zip(behind).zip(colour).zip(opacity)
+            {
+                let through = (-1.0_f32 / 255.0).mul_add(*opacity, 1.0);
+                *out = behind.mul_add(through, *colour).clamp(0.0, 255.0);
+            }
+        }
     }
+}
+
+/// The weighted sum of one block of each patch.
+#[inline(always)]
+fn blend(patches: &[(&[[u8; BLOCK]], f32)], block: usize) -> [f32; BLOCK] {
+    let mut sums = [0.0; BLOCK];
+    for (patch, share) in patches {
+        let values = &patch[block];
+        for i in 0..BLOCK {
+            sums[i] = share.mul_add(f32::from(values[i]), sums[i]);
+        }
+    }
+    sums
 }

@@ -11,6 +11,7 @@ pub mod backdrop;
 pub mod cell;
 pub mod frames;
 pub mod gallery;
+pub mod goals;
 pub mod network;
 pub mod painter;
 pub mod sprites;

@@ -1,16 +1,16 @@
 //! A predicted frame: the start frame without its arm, changed, with the arm before it.
 //!
-//! The twin of `hvf.models.desk.perception.DeskPerception.draw`. Frames are drawn tile by tile, a
-//! block of candidates at a time.
+//! The twin of `hvf.models.desk.perception.DeskPerception.draw`. What is drawn are the tiles of the
+//! start frame that change, about a third of them: where the backdrop's images differ, where a part
+//! was or is that moved, and where the arm is.
 
 use multiversion::multiversion;
 
 use super::backdrop::{Backdrop, Corners};
 use super::cell::SLIDERS;
 use super::gallery::{Around, Gallery, DIMENSIONS};
-use super::sprites::Sprites;
+use super::sprites::{Sprites, Stamp};
 use super::tiles::Tiles;
-use crate::lanes::{Lanes, LANES};
 use crate::{Error, Result};
 
 /// Pixels by which a part has to move for its image to be drawn anew.
@@ -27,10 +27,10 @@ pub struct Painter {
     gallery: Gallery,
 }
 
-/// A start frame, ready to be changed.
+/// A start frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Scene<'a> {
-    /// The frame without its arm, in tiles, in [0, 1].
+pub struct Start<'a> {
+    /// The frame without its arm, in tiles, from 0 to 255.
     pub clean: &'a [f32],
     /// Where each part is in it, 0 or 1: `[R][tiles][T * T]`.
     pub regions: &'a [u8],
@@ -38,24 +38,58 @@ pub struct Scene<'a> {
     pub state: &'a [f32],
 }
 
-/// One candidate's frame, but for the arm.
+/// A start frame, ready to be changed.
 #[derive(Clone, Debug)]
-struct Change {
-    around: Around,
+pub struct Scene<'a> {
+    start: Start<'a>,
+    /// The frame without its arm, in the colours of a screen.
+    still: Vec<f32>,
+    /// The frame without arm and backdrop.
+    residual: Vec<f32>,
     corners: Corners,
-    /// Number, (row, column) and presence of parts that moved.
-    moved: Vec<(usize, [f32; 2], f32)>,
+    /// Whether a part is in a tile: `[R][tiles]`.
+    inhabited: Vec<bool>,
 }
 
-/// Room for drawing candidates.
+/// Room for drawing a candidate, and what is drawn of it.
 #[derive(Clone, Debug)]
 pub struct Canvas {
-    changes: Vec<Change>,
-    arm: Vec<f32>,
+    around: Around,
+    corners: Corners,
+    /// Number and stamp of parts that moved.
+    moved: Vec<usize>,
+    stamps: Vec<Stamp>,
+    /// Where the backdrop, a part, or the arm has to be drawn.
+    slid: Vec<bool>,
+    pushed: Vec<bool>,
+    armed: Vec<bool>,
     behind: Vec<f32>,
     backdrop: Vec<f32>,
-    /// The last tile, for each candidate: `[candidates][3][T * T]`.
-    tile: Vec<f32>,
+    arm: Vec<f32>,
+    /// Numbers of tiles that differ from the still frame.
+    drawn: Vec<usize>,
+    /// These tiles, `[drawn][3][T * T]`.
+    values: Vec<f32>,
+}
+
+impl Scene<'_> {
+    /// The start frame without its arm, in tiles, from 0 to 255.
+    pub fn still(&self) -> &[f32] {
+        &self.still
+    }
+
+    /// The start frame's state, `[X]`.
+    pub fn state(&self) -> &[f32] {
+        self.start.state
+    }
+}
+
+impl Canvas {
+    /// Tiles that differ from the still frame, with what is in them: `[3][T * T]`, 0 to 255.
+    #[inline(always)]
+    pub fn drawn(&self, tiles: Tiles) -> impl Iterator<Item = (usize, &[f32])> {
+        self.drawn.iter().copied().zip(self.values.chunks_exact(tiles.values()))
+    }
 }
 
 impl Painter {
@@ -85,107 +119,139 @@ impl Painter {
         DIMENSIONS + SLIDERS + 3 * self.sprites.count()
     }
 
-    /// Room for up to `blocks` blocks of candidates.
-    pub fn canvas(&self, blocks: usize) -> Canvas {
-        let values = 3 * self.tiles.plane();
+    /// Makes a start frame ready.
+    pub fn scene<'a>(&self, start: Start<'a>) -> Scene<'a> {
+        let corners = self.backdrop.corners(&start.state[DIMENSIONS..][..SLIDERS]);
+        let mut residual = start.clean.to_vec();
+        let mut backdrop = vec![0.0; self.tiles.values()];
+        for (tile, residual) in residual.chunks_exact_mut(self.tiles.values()).enumerate() {
+            self.backdrop.draw(&corners, tile, &mut backdrop);
+            for (residual, backdrop) in residual.iter_mut().zip(&backdrop) {
+                *residual -= backdrop;
+            }
+        }
+        Scene {
+            start,
+            still: start.clean.iter().map(|value| value.clamp(0.0, 255.0)).collect(),
+            residual,
+            corners,
+            inhabited: start
+                .regions
+                .chunks_exact(self.tiles.plane())
+                .map(|region| region.iter().any(|&inside| inside != 0))
+                .collect(),
+        }
+    }
+
+    /// Room for drawing.
+    pub fn canvas(&self) -> Canvas {
+        let (count, values) = (self.tiles.count(), self.tiles.values());
         Canvas {
-            changes: Vec::with_capacity(blocks * LANES),
-            arm: vec![0.0; 4 * self.tiles.plane()],
+            around: Around::default(),
+            corners: Corners::default(),
+            moved: Vec::with_capacity(self.roaming()),
+            stamps: vec![self.sprites.stamp(self.tiles); self.roaming()],
+            slid: vec![false; count],
+            pushed: vec![false; count],
+            armed: vec![false; count],
             behind: vec![0.0; values],
             backdrop: vec![0.0; values],
-            tile: vec![0.0; blocks * LANES * values],
+            arm: vec![0.0; 4 * self.tiles.plane()],
+            drawn: Vec::with_capacity(count),
+            values: vec![0.0; count * values],
         }
     }
 
-    /// Draws what `scene` looks like at the first `count` of `states[blocks][X]`, tile by tile, and
-    /// shows `visit(tile, frames[count][3][T * T])` each.
-    pub fn paint(
-        &self,
-        scene: Scene<'_>,
-        states: &[Vec<Lanes>],
-        count: usize,
-        canvas: &mut Canvas,
-        mut visit: impl FnMut(usize, &[f32]),
-    ) {
-        canvas.changes.clear();
-        canvas
-            .changes
-            .extend((0..count).map(|candidate| {
-                self.change(scene, &states[candidate / LANES], candidate % LANES)
-            }));
-        for tile in 0..self.tiles.count() {
-            paint_tile(self, scene, tile, canvas);
-            visit(tile, &canvas.tile[..count * 3 * self.tiles.plane()]);
-        }
+    /// Draws what `scene` looks like at `state[X]`.
+    pub fn paint(&self, scene: &Scene<'_>, state: &[f32], canvas: &mut Canvas) {
+        paint(self, scene, state, canvas);
     }
 
-    fn change(&self, scene: Scene<'_>, state: &[Lanes], lane: usize) -> Change {
+    /// Finds what moved.
+    #[inline(always)]
+    fn find(&self, scene: &Scene<'_>, state: &[f32], canvas: &mut Canvas) {
+        let tiles = self.tiles;
+        canvas.around = self.gallery.around([state[0], state[1], state[2]]);
+        self.gallery.occupied(&canvas.around, &mut canvas.armed);
+        canvas.corners = self.backdrop.corners(&state[DIMENSIONS..][..SLIDERS]);
+        self.backdrop.compare(&scene.corners, &canvas.corners, &mut canvas.slid);
+        canvas.moved.clear();
+        canvas.pushed.fill(false);
         let first = DIMENSIONS + SLIDERS;
-        let sliders: [f32; SLIDERS] = std::array::from_fn(|i| state[DIMENSIONS + i][lane]);
-        let part = |part: usize| {
-            let at: [f32; 3] = std::array::from_fn(|i| state[first + 3 * part + i][lane]);
-            let was = &scene.state[first + 3 * part..][..3];
-            let way = [at[0] - was[0], at[1] - was[1]];
-            let moved = (way[0] * way[0] + way[1] * way[1]).sqrt() > MOVED
-                || (at[2] - was[2]).abs() > APPEARED;
-            moved.then_some((part, [at[0], at[1]], at[2]))
-        };
-        Change {
-            around: self.gallery.around(std::array::from_fn(|i| state[i][lane])),
-            corners: self.backdrop.corners(&sliders),
-            moved: (0..self.sprites.count()).filter_map(part).collect(),
+        let parts = state[first..].chunks_exact(3).zip(scene.start.state[first..].chunks_exact(3));
+        for (part, (now, before)) in parts.enumerate() {
+            let way = [now[0] - before[0], now[1] - before[1]];
+            let far = (way[0] * way[0] + way[1] * way[1]).sqrt() > MOVED;
+            if !far && (now[2] - before[2]).abs() <= APPEARED {
+                continue;
+            }
+            let stamp = &mut canvas.stamps[canvas.moved.len()];
+            self.sprites.read(part, [now[0], now[1]], now[2], stamp);
+            let inhabited = &scene.inhabited[part * tiles.count()..][..tiles.count()];
+            for (tile, (pushed, inhabited)) in canvas.pushed.iter_mut().zip(inhabited).enumerate() {
+                *pushed |= *inhabited || stamp.touches(tiles, tile);
+            }
+            canvas.moved.push(part);
         }
     }
-}
 
-#[multiversion(targets("x86_64+avx2+fma"))]
-fn paint_tile(painter: &Painter, scene: Scene<'_>, tile: usize, canvas: &mut Canvas) {
-    let Painter { tiles, backdrop, sprites, gallery } = painter;
-    let plane = tiles.plane();
-    let values = 3 * plane;
-    let clean = &scene.clean[tile * values..][..values];
-    let before = backdrop.corners(&scene.state[DIMENSIONS..][..SLIDERS]);
-    let mut still = vec![0.0; values];
-    backdrop.draw(&before, tile, &mut still);
-    for (change, out) in canvas.changes.iter().zip(canvas.tile.chunks_exact_mut(values)) {
-        backdrop.draw(&change.corners, tile, &mut canvas.backdrop);
-        for (((out, clean), after), before) in
-            canvas.behind.iter_mut().zip(clean).zip(&canvas.backdrop).zip(&still)
-        {
-            *out = clean + after - before;
-        }
-        for (part, ..) in &change.moved {
-            let region = &scene.regions[(part * tiles.count() + tile) * plane..][..plane];
-            for (behind, backdrop) in
-                canvas.behind.chunks_exact_mut(plane).zip(canvas.backdrop.chunks_exact(plane))
-            {
+    /// What is behind the arm where parts moved.
+    #[inline(always)]
+    fn push(&self, scene: &Scene<'_>, tile: usize, canvas: &mut Canvas) {
+        let (tiles, plane) = (self.tiles, self.tiles.plane());
+        for &part in &canvas.moved {
+            if !scene.inhabited[part * tiles.count() + tile] {
+                continue;
+            }
+            let region = &scene.start.regions[(part * tiles.count() + tile) * plane..][..plane];
+            let colours = canvas.behind.chunks_exact_mut(plane);
+            for (behind, backdrop) in colours.zip(canvas.backdrop.chunks_exact(plane)) {
                 for ((behind, backdrop), inside) in behind.iter_mut().zip(backdrop).zip(region) {
                     *behind = if *inside != 0 { *backdrop } else { *behind };
                 }
             }
         }
-        for &(part, at, presence) in &change.moved {
-            if sprites.touches(at, *tiles, tile) {
-                sprites.paste(part, at, presence, *tiles, tile, &mut canvas.behind);
-            }
+        for stamp in &canvas.stamps[..canvas.moved.len()] {
+            stamp.paste(tiles, tile, &mut canvas.behind);
         }
-        if !gallery.draw(&change.around, tile, &mut canvas.arm) {
-            for (out, behind) in out.iter_mut().zip(&canvas.behind) {
-                *out = behind.clamp(0.0, 1.0);
-            }
+    }
+}
+
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn paint(painter: &Painter, scene: &Scene<'_>, state: &[f32], canvas: &mut Canvas) {
+    let values = painter.tiles.values();
+    painter.find(scene, state, canvas);
+    canvas.drawn.clear();
+    for tile in 0..painter.tiles.count() {
+        let (slid, pushed, armed) = (canvas.slid[tile], canvas.pushed[tile], canvas.armed[tile]);
+        if !(slid || pushed || armed) {
             continue;
         }
-        let (opacity, colours) = canvas.arm.split_at(plane);
-        for ((out, behind), colour) in out
-            .chunks_exact_mut(plane)
-            .zip(canvas.behind.chunks_exact(plane))
-            .zip(colours.chunks_exact(plane))
-        {
-            for (((out, behind), colour), opacity) in
-                out.iter_mut().zip(behind).zip(colour).zip(opacity)
+        if slid || pushed {
+            painter.backdrop.draw(&canvas.corners, tile, &mut canvas.backdrop);
+            let residual = &scene.residual[tile * values..][..values];
+            for ((behind, residual), backdrop) in
+                canvas.behind.iter_mut().zip(residual).zip(&canvas.backdrop)
             {
-                *out = behind.mul_add(1.0 - opacity, *colour).clamp(0.0, 1.0);
+                *behind = residual + backdrop;
             }
         }
+        if pushed {
+            painter.push(scene, tile, canvas);
+        }
+        let out = &mut canvas.values[canvas.drawn.len() * values..][..values];
+        let behind = if slid || pushed {
+            &canvas.behind
+        } else {
+            &scene.start.clean[tile * values..][..values]
+        };
+        if armed {
+            painter.gallery.draw(&canvas.around, tile, behind, &mut canvas.arm, out);
+        } else {
+            for (out, behind) in out.iter_mut().zip(behind) {
+                *out = behind.clamp(0.0, 255.0);
+            }
+        }
+        canvas.drawn.push(tile);
     }
 }

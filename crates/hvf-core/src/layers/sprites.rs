@@ -8,17 +8,30 @@ use ndarray::ArrayView4;
 use super::tiles::Tiles;
 use crate::{Error, Result};
 
+/// Opacity, then colours.
+const CHANNELS: usize = 4;
+
 /// Opacity, and colour times opacity, of each part.
 #[derive(Clone, Debug)]
 pub struct Sprites {
     width: usize,
     count: usize,
-    /// `[R][4][W + 2][W + 2]`, with a border of zeros.
+    /// `[R][4][W + 2][W + 2]`, with a border of zeros; colours from 0 to 255.
     images: Vec<f32>,
 }
 
-/// Where a line of pixels reads a sprite: the first of two neighbours, and the second's share.
-type Reading = Option<(usize, f32)>;
+/// A part at a place between pixels, read at whole pixels, with room around it.
+#[derive(Clone, Debug)]
+pub struct Stamp {
+    /// Row and column of its first pixel in the frame.
+    corner: [i64; 2],
+    /// Pixels on each side that are not empty: W + 1.
+    inside: usize,
+    /// Empty pixels around them: a tile's.
+    margin: usize,
+    /// `[4][rows][rows]` with `rows = inside + 2 margin`.
+    values: Vec<f32>,
+}
 
 impl Sprites {
     /// From `images[R, 4, W, W]`, `W` odd.
@@ -27,7 +40,7 @@ impl Sprites {
     /// No sprite, another shape, or numbers that are not finite.
     pub fn new(images: ArrayView4<'_, f32>) -> Result<Self> {
         let (count, channels, height, width) = images.dim();
-        if count == 0 || channels != 4 || height != width || width % 2 == 0 {
+        if count == 0 || channels != CHANNELS || height != width || width % 2 == 0 {
             return Err(Error::invalid(
                 "sprites",
                 format!("expected shape [R, 4, W, W] with W odd, got {:?}", images.shape()),
@@ -37,9 +50,11 @@ impl Sprites {
             return Err(Error::invalid("sprites", "must be finite"));
         }
         let side = width + 2;
-        let mut padded = vec![0.0; count * 4 * side * side];
+        let mut padded = vec![0.0; count * CHANNELS * side * side];
         for ((part, channel, row, column), &value) in images.indexed_iter() {
-            padded[((part * 4 + channel) * side + row + 1) * side + column + 1] = value;
+            let scale = if channel == 0 { 1.0 } else { 255.0 };
+            let at = ((part * CHANNELS + channel) * side + row + 1) * side + column + 1;
+            padded[at] = scale * value;
         }
         Ok(Self { width, count, images: padded })
     }
@@ -49,53 +64,85 @@ impl Sprites {
         self.count
     }
 
-    /// Which rows (or columns) of the padded sprite a pixel at `line` reads with the part `at`.
-    #[inline(always)]
-    fn reading(&self, line: usize, at: f32) -> Reading {
-        let place = line as f32 - at + (self.width / 2 + 1) as f32;
-        let inside = place > 0.0 && place < (self.width + 1) as f32;
-        inside.then_some((place as usize, place - (place as usize) as f32))
+    /// A stamp of nothing.
+    pub fn stamp(&self, tiles: Tiles) -> Stamp {
+        let (inside, margin) = (self.width + 1, tiles.tile_size());
+        let rows = inside + 2 * margin;
+        Stamp { corner: [0; 2], inside, margin, values: vec![0.0; CHANNELS * rows * rows] }
     }
 
-    /// Whether `part` at (row, column) touches a tile.
+    /// Makes `stamp` that of `part`, `presence` of it, at (row, column).
     #[inline(always)]
-    pub fn touches(&self, at: [f32; 2], tiles: Tiles, tile: usize) -> bool {
-        let reach = (self.width / 2 + 1) as f32;
+    pub fn read(&self, part: usize, at: [f32; 2], presence: f32, stamp: &mut Stamp) {
+        let side = self.width + 2;
+        // The last whole pixel that lies outside the sprite, and how far the sprite is beyond.
+        let outside = at.map(|x| (x - (self.width / 2 + 1) as f32).floor());
+        let beyond = [0, 1].map(|axis| at[axis] - (self.width / 2 + 1) as f32 - outside[axis]);
+        // However far away: it is beyond all images.
+        stamp.corner = outside.map(|x| x.clamp(-1e9, 1e9) as i64 + 1);
+        // Pixel `corner + i` reads the sprite at `i + 1 - beyond` of its padded rows.
+        let (down, right) = (1.0 - beyond[0], 1.0 - beyond[1]);
+        let weights = [
+            presence * (1.0 - down) * (1.0 - right),
+            presence * (1.0 - down) * right,
+            presence * down * (1.0 - right),
+            presence * down * right,
+        ];
+        let rows = stamp.inside + 2 * stamp.margin;
+        for channel in 0..CHANNELS {
+            let image = &self.images[(part * CHANNELS + channel) * side * side..][..side * side];
+            for y in 0..stamp.inside {
+                let first = (channel * rows + stamp.margin + y) * rows + stamp.margin;
+                let out = &mut stamp.values[first..][..stamp.inside];
+                let upper = &image[y * side..][..side];
+                let lower = &image[(y + 1) * side..][..side];
+                for (x, out) in out.iter_mut().enumerate() {
+                    let above = weights[1].mul_add(upper[x + 1], weights[0] * upper[x]);
+                    let below = weights[3].mul_add(lower[x + 1], weights[2] * lower[x]);
+                    *out = above + below;
+                }
+            }
+        }
+    }
+}
+
+impl Stamp {
+    /// Where a tile begins in the stamp, if they have pixels in common.
+    #[inline(always)]
+    fn offset(&self, tiles: Tiles, tile: usize) -> Option<[usize; 2]> {
         let corner = tiles.corner(tile);
-        (0..2).all(|axis| {
-            let (first, last) = (corner[axis], corner[axis] + tiles.tile_size() - 1);
-            at[axis] + reach > first as f32 && at[axis] - reach < last as f32
-        })
+        let mut offset = [0; 2];
+        for axis in 0..2 {
+            let from = corner[axis] as i64 - (self.corner[axis] - self.margin as i64);
+            offset[axis] = usize::try_from(from).ok()?;
+            // The tile above or left of the first pixel, or beyond the last, has none in common.
+            if offset[axis] == 0 || offset[axis] >= self.margin + self.inside {
+                return None;
+            }
+        }
+        Some(offset)
     }
 
-    /// Pastes `part`, `presence` of it, at (row, column) onto a tile of an image.
+    /// Whether a tile has pixels in common with the stamp.
     #[inline(always)]
-    pub fn paste(
-        &self,
-        part: usize,
-        at: [f32; 2],
-        presence: f32,
-        tiles: Tiles,
-        tile: usize,
-        image: &mut [f32],
-    ) {
-        let (side, plane, size) = (self.width + 2, tiles.plane(), tiles.tile_size());
-        let [top, left] = tiles.corner(tile);
+    pub fn touches(&self, tiles: Tiles, tile: usize) -> bool {
+        self.offset(tiles, tile).is_some()
+    }
+
+    /// Pastes the stamp onto a tile of an image, `[3][T * T]`.
+    #[inline(always)]
+    pub fn paste(&self, tiles: Tiles, tile: usize, image: &mut [f32]) {
+        let Some([top, left]) = self.offset(tiles, tile) else { return };
+        let (size, plane) = (tiles.tile_size(), tiles.plane());
+        let rows = self.inside + 2 * self.margin;
         for y in 0..size {
-            let Some((row, down)) = self.reading(top + y, at[0]) else { continue };
-            for x in 0..size {
-                let Some((column, right)) = self.reading(left + x, at[1]) else { continue };
-                let drawn: [f32; 4] = std::array::from_fn(|channel| {
-                    let first = ((part * 4 + channel) * side + row) * side + column;
-                    let upper = &self.images[first..first + 2];
-                    let lower = &self.images[first + side..first + side + 2];
-                    let above = (1.0 - right) * upper[0] + right * upper[1];
-                    let below = (1.0 - right) * lower[0] + right * lower[1];
-                    ((1.0 - down) * above + down * below) * presence
-                });
-                for colour in 0..3 {
-                    let value = &mut image[colour * plane + y * size + x];
-                    *value = *value * (1.0 - drawn[0]) + drawn[1 + colour];
+            let row =
+                |channel: usize| &self.values[(channel * rows + top + y) * rows + left..][..size];
+            let opacity = row(0);
+            for colour in 0..3 {
+                let out = &mut image[colour * plane + y * size..][..size];
+                for ((out, opacity), drawn) in out.iter_mut().zip(opacity).zip(row(1 + colour)) {
+                    *out = out.mul_add(1.0 - opacity, *drawn);
                 }
             }
         }

@@ -2,6 +2,9 @@
 
 use crate::{Error, Result};
 
+/// Values of a tile that are worked on together; they fill two vector registers.
+pub const BLOCK: usize = 16;
+
 /// How images of `S` x `S` pixels are cut into tiles of `T` x `T`.
 ///
 /// An image in tiles is `[tiles][3][T * T]`, its colours one after the other.
@@ -15,12 +18,18 @@ impl Tiles {
     /// Tiles of `tile` pixels in images of `size`.
     ///
     /// # Errors
-    /// A tile that is empty or does not divide the image.
+    /// A tile that is not a multiple of 4 pixels or does not divide the image.
     pub fn new(size: usize, tile: usize) -> Result<Self> {
-        if tile == 0 || size == 0 || !size.is_multiple_of(tile) {
+        if tile == 0 || !(tile * tile).is_multiple_of(BLOCK) {
             return Err(Error::invalid(
-                "image_size",
-                format!("must be a positive multiple of the tile ({tile}), got {size}"),
+                "arm_patches",
+                format!("must be a multiple of 4 pixels wide, got {tile}"),
+            ));
+        }
+        if size == 0 || !size.is_multiple_of(tile) {
+            return Err(Error::invalid(
+                "table",
+                format!("expected images of a multiple of {tile} pixels, got {size}"),
             ));
         }
         Ok(Self { size, tile })
@@ -46,23 +55,27 @@ impl Tiles {
         self.tile * self.tile
     }
 
+    /// Numbers that make a tile.
+    pub fn values(&self) -> usize {
+        3 * self.plane()
+    }
+
     /// Row and column of the first pixel of a tile.
     pub fn corner(&self, tile: usize) -> [usize; 2] {
         let side = self.size / self.tile;
         [tile / side * self.tile, tile % side * self.tile]
     }
 
-    /// Row and column of every pixel, tile by tile.
-    fn pixels(self) -> impl Iterator<Item = (usize, [usize; 2])> {
-        (0..self.count()).flat_map(move |tile| {
-            let [top, left] = self.corner(tile);
-            (0..self.plane()).map(move |i| (tile, [top + i / self.tile, left + i % self.tile]))
-        })
-    }
-
     /// One number per pixel, `at(row, column)`, in tiles: `[tiles][T * T]`.
     pub fn cut_plane<T>(&self, at: impl Fn(usize, usize) -> T) -> Vec<T> {
-        self.pixels().map(|(_, [row, column])| at(row, column)).collect()
+        let mut tiles = Vec::with_capacity(self.size * self.size);
+        for tile in 0..self.count() {
+            let [top, left] = self.corner(tile);
+            for i in 0..self.plane() {
+                tiles.push(at(top + i / self.tile, left + i % self.tile));
+            }
+        }
+        tiles
     }
 
     /// An image `at(row, column, colour)` in tiles.
@@ -80,7 +93,7 @@ impl Tiles {
     }
 
     /// Puts a tile `[3][T * T]` at its place in `image[S, S, 3]`.
-    pub fn place(&self, tile: usize, values: &[f32], image: &mut [f32]) {
+    pub fn place<T: Copy>(&self, tile: usize, values: &[T], image: &mut [T]) {
         let [top, left] = self.corner(tile);
         for (colour, plane) in values.chunks_exact(self.plane()).enumerate() {
             for (y, row) in plane.chunks_exact(self.tile).enumerate() {
@@ -88,6 +101,17 @@ impl Tiles {
                 for (value, to) in row.iter().zip(image[first..].iter_mut().step_by(3)) {
                     *to = *value;
                 }
+            }
+        }
+    }
+
+    /// Puts a tile `[3][T * T]` at its place in an image in planes, `[3][S, S]`.
+    pub fn place_planes(&self, tile: usize, values: &[f32], image: &mut [f32]) {
+        let [top, left] = self.corner(tile);
+        for (colour, plane) in values.chunks_exact(self.plane()).enumerate() {
+            for (y, row) in plane.chunks_exact(self.tile).enumerate() {
+                let first = (colour * self.size + top + y) * self.size + left;
+                image[first..first + self.tile].copy_from_slice(row);
             }
         }
     }

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use multiversion::multiversion;
 use ndarray::{
     Array2, Array3, Array4, Array5, ArrayView2, ArrayView3, ArrayView4, ArrayViewMut2, Axis,
 };
@@ -11,8 +10,9 @@ use rayon::prelude::*;
 use super::cell::{Cell, Moving, Scratch};
 use super::frames::LayerFrames;
 use super::gallery::DIMENSIONS;
+use super::goals::{Comparison, Goals};
 use super::painter::{Canvas, Painter, Scene};
-use crate::image::{BlurScratch, GaussianBlur, OverHorizon};
+use crate::image::{GaussianBlur, OverHorizon};
 use crate::lanes::{Lanes, LANES};
 use crate::planner::{ActionSpace, Frames, WorldModel};
 use crate::{Error, Result};
@@ -42,19 +42,12 @@ pub struct LayerWorld {
     over_horizon: OverHorizon,
 }
 
-/// What candidates are compared with: images in tiles, or blurred ones in rows.
-struct Goals(Vec<Vec<f32>>);
-
 /// Room for one chunk of candidates.
 struct Room {
     cell: Scratch,
     actions: Vec<Vec<Lanes>>,
     canvas: Canvas,
-    /// Frames `[candidates][S, S, 3]`, where they are blurred.
-    images: Vec<f32>,
-    blur: Option<BlurScratch>,
-    /// Squared distances `[goals][candidates]`.
-    sums: Vec<f64>,
+    state: Vec<f32>,
 }
 
 impl LayerWorld {
@@ -126,16 +119,12 @@ impl LayerWorld {
         Ok(())
     }
 
-    fn room(&self, goals: usize) -> Room {
-        let size = self.painter.tiles().image_size();
-        let images = if self.blur.is_some() { CHUNK * size * size * 3 } else { 0 };
+    fn room(&self) -> Room {
         Room {
             cell: self.cell.scratch(BLOCKS),
             actions: vec![vec![[0.0; LANES]; self.actions.dim()]; BLOCKS],
-            canvas: self.painter.canvas(BLOCKS),
-            images: vec![0.0; images],
-            blur: self.blur.as_ref().map(|blur| blur.scratch(size, size, 3)),
-            sums: vec![0.0; goals * CHUNK],
+            canvas: self.painter.canvas(),
+            state: vec![0.0; self.cell.state_size()],
         }
     }
 
@@ -166,126 +155,49 @@ impl LayerWorld {
         }
     }
 
-    fn goals(&self, goals: &LayerFrames, which: impl IntoParallelIterator<Item = usize>) -> Goals {
-        let tiles = self.painter.tiles();
-        let size = tiles.image_size();
-        let unit = |image: &[u8], row: usize, column: usize, colour: usize| {
-            f32::from(image[(row * size + column) * 3 + colour]) / 255.0
-        };
-        let prepare = |i: usize| {
-            let image = goals.image(i);
-            let Some(blur) = &self.blur else {
-                return tiles.cut(|row, column, colour| unit(image, row, column, colour));
-            };
-            let mut rows: Vec<f32> = image.iter().map(|&x| f32::from(x) / 255.0).collect();
-            blur.apply(&mut rows, size, size, 3, &mut blur.scratch(size, size, 3));
-            rows
-        };
-        Goals(which.into_par_iter().map(prepare).collect::<Vec<_>>())
-    }
-
     /// Costs `[goals, candidates]` of up to [`CHUNK`] candidates.
     fn chunk_costs(
         &self,
-        scene: Scene<'_>,
-        goals: &Goals,
+        scene: &Scene<'_>,
+        goals: &Goals<'_>,
         actions: ArrayView3<'_, f32>,
-        room: &mut Room,
+        (room, comparison): &mut (Room, Comparison),
         mut costs: ArrayViewMut2<'_, f32>,
     ) {
         let (candidates, steps, _) = actions.dim();
-        let pixels = (self.painter.tiles().image_size() as f64).powi(2);
         costs.fill(self.over_horizon.start());
-        let Room { cell, actions: lanes, canvas, images, blur, sums } = room;
-        self.roll(scene.state, actions, cell, lanes, |step, moving| {
-            let states = &moving.states;
-            if self.over_horizon.counts(step, steps) {
-                match (&self.blur, blur.as_mut()) {
-                    (Some(gaussian), Some(scratch)) => {
-                        self.draw_chunk(scene, states, candidates, canvas, images);
-                        self.blurred_sums(goals, candidates, images, gaussian, scratch, sums);
-                    }
-                    _ => self.tile_sums(scene, goals, states, candidates, canvas, sums),
-                }
-                for (row, sums) in costs.rows_mut().into_iter().zip(sums.chunks_exact(CHUNK)) {
-                    for (cost, sum) in row.into_iter().zip(sums) {
-                        *cost = self.over_horizon.add(*cost, (*sum / pixels) as f32);
-                    }
-                }
+        let Room { cell, actions: lanes, canvas, state } = room;
+        self.roll(scene.state(), actions, cell, lanes, |step, moving| {
+            if !self.over_horizon.counts(step, steps) {
+                return;
             }
-            if step + 1 == steps {
-                // Rectified units and comparisons have lost what is not a number.
-                for (candidate, actions) in actions.outer_iter().enumerate() {
-                    let state = &states[candidate / LANES];
-                    let mut state = state.iter().map(|x| x[candidate % LANES]);
-                    if !(state.all(f32::is_finite) && actions.iter().all(|x| x.is_finite())) {
-                        costs.column_mut(candidate).fill(f32::NAN);
-                    }
+            for candidate in 0..candidates {
+                for (x, lanes) in state.iter_mut().zip(&moving.states[candidate / LANES]) {
+                    *x = lanes[candidate % LANES];
                 }
+                // Rectified units and comparisons would lose what is not a number.
+                let known = state.iter().all(|x| x.is_finite())
+                    && actions.index_axis(Axis(0), candidate).iter().all(|x| x.is_finite());
+                if !known {
+                    costs.column_mut(candidate).fill(f32::NAN);
+                    continue;
+                }
+                self.painter.paint(scene, state, canvas);
+                goals.compare(scene, canvas, comparison, |goal, cost| {
+                    let tally = &mut costs[[goal, candidate]];
+                    *tally = self.over_horizon.add(*tally, cost);
+                });
             }
         });
     }
 
-    fn tile_sums(
-        &self,
-        scene: Scene<'_>,
-        goals: &Goals,
-        states: &[Vec<Lanes>],
-        candidates: usize,
-        canvas: &mut Canvas,
-        sums: &mut [f64],
-    ) {
-        sums.fill(0.0);
-        let values = 3 * self.painter.tiles().plane();
-        self.painter.paint(scene, states, candidates, canvas, |tile, drawn| {
-            for (goal, sums) in goals.0.iter().zip(sums.chunks_exact_mut(CHUNK)) {
-                let goal = &goal[tile * values..][..values];
-                for (frame, sum) in drawn.chunks_exact(values).zip(sums) {
-                    *sum += f64::from(squared_distance(frame, goal));
-                }
-            }
-        });
-    }
-
-    fn blurred_sums(
-        &self,
-        goals: &Goals,
-        candidates: usize,
-        images: &mut [f32],
-        blur: &GaussianBlur,
-        scratch: &mut BlurScratch,
-        sums: &mut [f64],
-    ) {
-        let size = self.painter.tiles().image_size();
-        let frames = images.chunks_exact_mut(size * size * 3).take(candidates);
-        for (candidate, frame) in frames.enumerate() {
-            blur.apply(frame, size, size, 3, scratch);
-            for (goal, sums) in goals.0.iter().zip(sums.chunks_exact_mut(CHUNK)) {
-                sums[candidate] = frame
-                    .chunks(1024)
-                    .zip(goal.chunks(1024))
-                    .map(|(a, b)| f64::from(squared_distance(a, b)))
-                    .sum();
-            }
-        }
-    }
-
-    /// Draws candidates into `images[candidates][S, S, 3]`.
-    fn draw_chunk(
-        &self,
-        scene: Scene<'_>,
-        states: &[Vec<Lanes>],
-        candidates: usize,
-        canvas: &mut Canvas,
-        images: &mut [f32],
-    ) {
-        let tiles = self.painter.tiles();
-        let (values, length) = (3 * tiles.plane(), tiles.image_size().pow(2) * 3);
-        self.painter.paint(scene, states, candidates, canvas, |tile, drawn| {
-            for (values, image) in drawn.chunks_exact(values).zip(images.chunks_exact_mut(length)) {
-                tiles.place(tile, values, image);
-            }
-        });
+    fn goals<'a>(
+        &'a self,
+        scene: &Scene<'_>,
+        goals: &'a LayerFrames,
+        which: std::ops::Range<usize>,
+    ) -> Goals<'a> {
+        Goals::new(scene, goals, which, self.painter.tiles(), self.blur.as_ref())
     }
 
     /// States `[B, D, H, X]` that the cell predicts from each of `B` frames for
@@ -307,7 +219,7 @@ impl LayerWorld {
                 .into_par_iter()
                 .zip(actions.index_axis(Axis(0), b).axis_chunks_iter(Axis(0), CHUNK))
                 .for_each_init(
-                    || self.room(0),
+                    || self.room(),
                     |room, (mut out, actions)| {
                         let Room { cell, actions: lanes, .. } = room;
                         self.roll(starts.state(b), actions, cell, lanes, |step, moving| {
@@ -362,12 +274,22 @@ impl LayerWorld {
                 ),
             ));
         }
+        let tiles = self.painter.tiles();
         let mut images = vec![0.0; count * size * size * 3];
         images.par_chunks_exact_mut(size * size * 3).enumerate().for_each_init(
-            || self.painter.canvas(1),
+            || self.painter.canvas(),
             |canvas, (i, image)| {
-                let state: Vec<Lanes> = states.row(i).iter().map(|&x| [x; LANES]).collect();
-                self.draw_chunk(starts.scene(i), &[state], 1, canvas, image);
+                let scene = self.painter.scene(starts.start(i));
+                self.painter.paint(&scene, &states.row(i).to_vec(), canvas);
+                for (tile, values) in scene.still().chunks_exact(tiles.values()).enumerate() {
+                    tiles.place(tile, values, image);
+                }
+                for (tile, values) in canvas.drawn(tiles) {
+                    tiles.place(tile, values, image);
+                }
+                for value in image {
+                    *value /= 255.0;
+                }
             },
         );
         Ok(Array4::from_shape_vec((count, size, size, 3), images)
@@ -391,16 +313,17 @@ impl LayerWorld {
         }
         let (candidates, _, dim) = actions.dim();
         self.check_actions(1, 1, dim)?;
-        let prepared = self.goals(goals, 0..goals.len());
+        let scene = self.painter.scene(start.start(0));
+        let prepared = self.goals(&scene, goals, 0..goals.len());
         let mut costs = Array2::zeros((goals.len(), candidates));
         costs
             .axis_chunks_iter_mut(Axis(1), CHUNK)
             .into_par_iter()
             .zip(actions.axis_chunks_iter(Axis(0), CHUNK))
             .for_each_init(
-                || self.room(goals.len()),
+                || (self.room(), prepared.comparison()),
                 |room, (out, actions)| {
-                    self.chunk_costs(start.scene(0), &prepared, actions, room, out);
+                    self.chunk_costs(&scene, &prepared, actions, room, out);
                 },
             );
         Ok(costs)
@@ -432,14 +355,15 @@ impl WorldModel for LayerWorld {
         let mut costs = Array2::zeros((problems, candidates));
         costs.axis_chunks_iter_mut(Axis(0), 1).into_par_iter().enumerate().for_each(
             |(b, mut row)| {
-                let prepared = self.goals(goals, [b]);
+                let scene = self.painter.scene(starts.start(b));
+                let prepared = self.goals(&scene, goals, b..b + 1);
                 row.axis_chunks_iter_mut(Axis(1), CHUNK)
                     .into_par_iter()
                     .zip(actions.index_axis(Axis(0), b).axis_chunks_iter(Axis(0), CHUNK))
                     .for_each_init(
-                        || self.room(1),
+                        || (self.room(), prepared.comparison()),
                         |room, (out, actions)| {
-                            self.chunk_costs(starts.scene(b), &prepared, actions, room, out);
+                            self.chunk_costs(&scene, &prepared, actions, room, out);
                         },
                     );
             },
@@ -455,22 +379,4 @@ impl WorldModel for LayerWorld {
     ) -> Option<Result<Array2<f32>>> {
         Some(self.shared_costs(start, goals, actions.view()))
     }
-}
-
-/// `sum((a - b)^2)`, in 16 partial sums: the order of additions is always the same.
-#[multiversion(targets("x86_64+avx2+fma"))]
-fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
-    let (a_lanes, a_rest) = a.as_chunks::<16>();
-    let (b_lanes, b_rest) = b.as_chunks::<16>();
-    let mut sums = [0.0; 16];
-    for (x, y) in a_lanes.iter().zip(b_lanes) {
-        for lane in 0..16 {
-            let apart = x[lane] - y[lane];
-            sums[lane] = apart.mul_add(apart, sums[lane]);
-        }
-    }
-    for (sum, (x, y)) in sums.iter_mut().zip(a_rest.iter().zip(b_rest)) {
-        *sum += (x - y) * (x - y);
-    }
-    sums.iter().sum()
 }
