@@ -27,7 +27,7 @@ _PAIRS = 3000
 _APART = 10
 # Backdrop and sprites are taken from every tenth frame of the pool.
 _STRIDE = 10
-_GALLERY_STRIDE = 2
+_GALLERY_STRIDE = 4
 # Validation: windows of this many steps from each held-out episode, and how many are drawn.
 _HORIZON = 15
 _SHOWN = 10
@@ -47,7 +47,7 @@ _ARM_LOOP = LoopConfig(
 )
 # Positions in pixels need all of float32's digits, on a GPU too.
 _LOOP = LoopConfig(
-    steps=20_000,
+    steps=11_000,
     learning_rate=2e-3,
     schedule="cosine",
     warmup_steps=200,
@@ -88,12 +88,12 @@ class DeskDynamicsTraining:
 
     data: Path
     out: Path = Path("runs/desk_dynamics")
-    episodes: int = 3000
+    episodes: int = 4000
     memory_gb: float = 2.0
     arm_batch: int = 48
     windows: int = 128
     length: int = 15
-    short_steps: int = 12_000
+    short_steps: int = 7500
     model: DeskDynamicsConfig = DeskDynamicsConfig()
     arm_loop: LoopConfig = _ARM_LOOP
     loop: LoopConfig = _LOOP
@@ -115,6 +115,7 @@ class LargeDeskDynamicsTraining(DeskDynamicsTraining):
     memory_gb: float = 8.0
     arm_batch: int = 256
     windows: int = 1024
+    short_steps: int = 40_000
     model: DeskDynamicsConfig = _LARGE
     arm_loop: LoopConfig = dataclasses.replace(_ARM_LOOP, steps=20_000, threads=0)
     loop: LoopConfig = dataclasses.replace(_LOOP, steps=60_000, threads=0)
@@ -199,6 +200,8 @@ def _train_perception(
         console=console,
     )
     console.print("gallery: images of the arm")
+    # The same frames, however often the training was stopped.
+    pool.move_to(0)
     with torch.inference_mode():
         frames = torch.from_numpy(pool.frames[:, ::_GALLERY_STRIDE]).flatten(0, 1)
         trained.fit_gallery(frames)

@@ -52,7 +52,7 @@ class DeskLearnedWorld:
             arm_step=gallery.step.tolist(),
             arm_places=gallery.config.places,
             arm_patches=gallery.patches.cpu().numpy(),
-            arm_index=gallery.index.cpu().numpy(),
+            arm_index=gallery.index.int().cpu().numpy(),
             table=perception.backdrop.table.cpu().numpy(),
             sprites=perception.sprites.cpu().numpy(),
             blur=blur,

@@ -37,14 +37,15 @@ class GalleryConfig:
 
     places: tuple[int, int, int] = (18, 43, 5)
     patch: int = 8
-    patches: int = 36_000
+    patches: int = 30_000
 
     def __post_init__(self) -> None:
         if min(self.places) < 2:
             raise ValueError(f"places must be at least 2, got {self.places}")
-        for name in ("patch", "patches"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.patch < 1:
+            raise ValueError(f"patch must be at least 1, got {self.patch}")
+        if not 1 <= self.patches < 2**15:
+            raise ValueError(f"patches must be from 1 to {2**15 - 1}, got {self.patches}")
 
 
 class Gallery(nn.Module):
@@ -54,7 +55,7 @@ class Gallery(nn.Module):
         low, step: the hand's code at the first place of the grid, and from one place to the next,
             `[A]`.
         patches: opacity and colour times opacity, uint8 `[M, 4, w, w]`; the first is empty.
-        index: number of the patch at each square of each place's image, int32
+        index: number of the patch at each square of each place's image, int16
             `[V, (S / w)^2]`, rows first.
     """
 
@@ -75,7 +76,7 @@ class Gallery(nn.Module):
         self.register_buffer("step", torch.ones(3))
         shape = (config.patches, 4, config.patch, config.patch)
         self.register_buffer("patches", torch.zeros(shape, dtype=torch.uint8))
-        self.register_buffer("index", torch.zeros(first * second * third, squares).int())
+        self.register_buffer("index", torch.zeros(first * second * third, squares).short())
 
     def fit_grid(self, codes: Tensor) -> Gallery:
         """Lay the grid over `codes [N, 3]` of the hand."""
@@ -121,8 +122,8 @@ class Gallery(nn.Module):
         kept = kept[amount[kept] > 0]
         self.patches.zero_()
         self.patches[1 : len(kept) + 1] = flat[kept]
-        number = torch.zeros(len(flat), dtype=torch.int32)
-        number[kept] = torch.arange(1, len(kept) + 1, dtype=torch.int32)
+        number = torch.zeros(len(flat), dtype=torch.int16)
+        number[kept] = torch.arange(1, len(kept) + 1, dtype=torch.int16)
         index = number.reshape(len(images), -1)
         axes = [torch.arange(n).float() for n in self.config.places]
         grid = torch.cartesian_prod(*axes)
@@ -153,7 +154,7 @@ class Gallery(nn.Module):
         width, side = self.config.patch, self.image_size // self.config.patch
         cells = codes.new_zeros(len(codes), side * side, 4, width, width)
         for place, share in self.corners(codes):
-            cells += self.patches[self.index[place]] * (share / 255)[:, None, None, None, None]
+            cells += self.patches[self.index[place].long()] * (share / 255)[:, None, None, None, None]
         cells = cells.reshape(-1, side, side, 4, width, width).permute(0, 3, 1, 4, 2, 5)
         drawn = cells.reshape(-1, 4, self.image_size, self.image_size)
         return drawn[:, :1], drawn[:, 1:]
