@@ -6,7 +6,7 @@ All but the random one plan with the same visual MPC; they differ in where subgo
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -89,15 +89,11 @@ class Replanning:
         keep_better: go on with the rest of a plan, if it has one, as long as no new plan has a
             lower predicted cost.
         warm_start: begin each search of actions around the rest of the last plan.
-        shrinking: a plan made on the way looks ahead no further than the one before it did, so that
-            it arrives when that would have, and does not put off arriving for ever; the horizon is
-            whole again after that (shrinking-horizon control).
     """
 
     every: int = 1
     keep_better: bool = False
     warm_start: bool = False
-    shrinking: bool = False
 
     def check(self, horizon: int) -> None:
         """Refuse to act more steps than a plan has.
@@ -121,10 +117,6 @@ class PlanningAgent:
         replanning: when it plans anew; at every step, if nothing else is said.
         told: plans start from frames of the trials (:class:`TrialsWithFrames`) and not from what
             is observed: for a simulator whose state cannot be read off an image.
-        shorter: how it plans over a shorter horizon, for replanning that shrinks.
-
-    Raises:
-        ValueError: replanning after more steps than a plan has, or that shrinks without `shorter`.
     """
 
     def __init__(
@@ -134,13 +126,8 @@ class PlanningAgent:
         source: SubgoalSource,
         replanning: Replanning = Replanning(),
         told: bool = False,
-        shorter: Callable[[int], VisualMPC] | None = None,
     ) -> None:
         replanning.check(mpc.horizon)
-        if replanning.shrinking and shorter is None:
-            raise ValueError("shorter: needed by replanning that shrinks")
-        self._planners = {mpc.horizon: mpc}
-        self._shorter = shorter
         self.world = world
         self.mpc = mpc
         self.source = source
@@ -159,13 +146,13 @@ class PlanningAgent:
         self, which: Indices, observations: Images, targets: Images, seeds: Sequence[int]
     ) -> Decision:
         """Return the next actions of the best plans."""
-        due: dict[int, list[int]] = {}
-        for n, (trial, target) in enumerate(zip(which, targets, strict=True)):
-            if self._is_due(int(trial), target):
-                due.setdefault(self._horizon(int(trial), target), []).append(n)
-        for horizon, those in due.items():
-            chosen = [seeds[n] for n in those]
-            self._plan(horizon, which[those], observations[those], targets[those], chosen)
+        due = [
+            n
+            for n, (trial, target) in enumerate(zip(which, targets, strict=True))
+            if self._is_due(int(trial), target)
+        ]
+        if due:
+            self._plan(which[due], observations[due], targets[due], [seeds[n] for n in due])
         current = [self._plans[int(trial)] for trial in which]
         actions = np.stack([plan.next_action() for plan in current])
         return Decision(actions, np.array([plan.cost for plan in current], np.float32))
@@ -177,39 +164,14 @@ class PlanningAgent:
             return True
         return not np.array_equal(plan.target, target)
 
-    def _horizon(self, trial: int, target: Images) -> int:
-        """Steps that the next plan of a trial looks ahead."""
-        whole, plan = self.mpc.horizon, self._plans.get(trial)
-        if not self.replanning.shrinking or plan is None or plan.left == 0:
-            return whole
-        if not np.array_equal(plan.target, target):
-            return whole
-        # Whole planned actions, each of which is held for a few steps.
-        repeat = self.mpc.action_repeat
-        return -(-plan.left // repeat) * repeat
-
-    def _planner(self, horizon: int) -> VisualMPC:
-        if horizon not in self._planners:
-            assert self._shorter is not None
-            self._planners[horizon] = self._shorter(horizon)
-        return self._planners[horizon]
-
     def _plan(
-        self,
-        horizon: int,
-        which: Indices,
-        observations: Images,
-        targets: Images,
-        seeds: Sequence[int],
+        self, which: Indices, observations: Images, targets: Images, seeds: Sequence[int]
     ) -> None:
         last = None
         if self.replanning.warm_start and all(int(trial) in self._plans for trial in which):
-            last = np.stack(
-                [self._plans[int(trial)].before_last_action(horizon) for trial in which]
-            )
+            last = np.stack([self._plans[int(trial)].before_last_action() for trial in which])
         starts = observations if self._trials is None else self._trials.frames(which)
-        planner = self._planner(horizon)
-        plans = planner.plan_batch(self.world, starts, targets, seeds=seeds, warm_start=last)
+        plans = self.mpc.plan_batch(self.world, starts, targets, seeds=seeds, warm_start=last)
         for n, trial in enumerate(map(int, which)):
             new = _Current(plans.actions[n], float(plans.costs[n]), targets[n])
             old = self._plans.get(trial)
@@ -244,13 +206,13 @@ class _Current:
         """Whether the rest of this plan is worth more than a new one."""
         return self.left > 0 and self.cost <= new.cost and np.array_equal(self.target, new.target)
 
-    def before_last_action(self, horizon: int) -> NDArray[np.float32]:
+    def before_last_action(self) -> NDArray[np.float32]:
         """The plan as the search wants it for a warm start: it begins with the last action acted.
 
         Its last action is repeated where the plan has come to its end.
         """
         first = max(self.acted - 1, 0)
-        steps = np.minimum(np.arange(horizon) + first, len(self.actions) - 1)
+        steps = np.minimum(np.arange(len(self.actions)) + first, len(self.actions) - 1)
         rest: NDArray[np.float32] = self.actions[steps]
         return rest
 

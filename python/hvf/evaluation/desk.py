@@ -41,8 +41,6 @@ class DeskPlanning(Planning):
         replan_every: steps of a plan that are acted before the next one is made.
         keep_better: go on with the rest of a plan as long as no new one has a lower predicted
             cost: for budgets so small that a good plan may not be found again.
-        shrinking: a plan made on the way looks ahead no further than the one before it did, so that
-            arriving is not put off for ever.
         steps_per_subgoal: most steps towards one subgoal (T*).
         steps: steps of a trial (T); None for the task's own limit, 50 or 100.
     """
@@ -53,7 +51,6 @@ class DeskPlanning(Planning):
     action_repeat: int = 3
     replan_every: int = 1
     keep_better: bool = False
-    shrinking: bool = False
     steps_per_subgoal: int = 20
     steps: int | None = None
 
@@ -65,7 +62,7 @@ class DeskPlanning(Planning):
     @property
     def replanning(self) -> Replanning:
         """When to make a new plan."""
-        return Replanning(self.replan_every, self.keep_better, self.warm_start, self.shrinking)
+        return Replanning(self.replan_every, self.keep_better, self.warm_start)
 
     def _actions(self) -> dict[str, Any]:
         return {

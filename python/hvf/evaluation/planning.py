@@ -69,12 +69,8 @@ class Planning:
     @property
     def mpc(self) -> hvf_core.VisualMPC:
         """Search for actions."""
-        return self.mpc_over(self.horizon)
-
-    def mpc_over(self, horizon: int) -> hvf_core.VisualMPC:
-        """Search for actions over another horizon."""
         return hvf_core.VisualMPC(
-            horizon=horizon,
+            horizon=self.horizon,
             samples=self.samples,
             elites=self.elites,
             iterations=self.iterations,

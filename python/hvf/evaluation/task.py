@@ -153,9 +153,7 @@ class EpisodeTask(abc.ABC, Generic[SomeTrials]):
                 source = SearchedSubgoals(search, world, generator)
             elif evaluation.agent == "ground-truth":
                 source = TrueSubgoals(evaluation.subgoals)
-            self.agent = PlanningAgent(
-                world, planning.mpc, source, planning.replanning, told, planning.mpc_over
-            )
+            self.agent = PlanningAgent(world, planning.mpc, source, planning.replanning, told)
 
     @abc.abstractmethod
     def trials(self, first: int, count: int) -> SomeTrials:
