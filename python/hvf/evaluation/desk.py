@@ -48,8 +48,11 @@ class DeskPlanning(Planning):
     initial: Literal["uniform", "normal"] = "uniform"
     initial_std: float = 1.0
     horizon: int = 15
+    subgoal_samples: int = 40
+    subgoal_elites: int = 8
+    subgoal_iterations: int = 3
     action_repeat: int = 3
-    replan_every: int = 1
+    replan_every: int = 3
     keep_better: bool = False
     steps_per_subgoal: int = 20
     steps: int | None = None
@@ -91,7 +94,13 @@ class DeskEvaluation(Evaluation):
 
     presets: ClassVar[Mapping[str, Planning]] = {
         "default": DeskPlanning(),
-        "paper": DeskPlanning(initial="normal"),
+        "paper": DeskPlanning(
+            initial="normal",
+            replan_every=1,
+            subgoal_samples=200,
+            subgoal_elites=40,
+            subgoal_iterations=5,
+        ),
         # What a core can pay for true dynamics: 256 candidates, each one action that is held for
         # three steps and then acted to its end, since it does just what was predicted. So few find
         # the thin arm of a goal image only through a blur.
