@@ -76,6 +76,20 @@ def test_the_colours_of_what_changes_are_found_and_three_of_them_roam(toy_seen: 
     assert sorted(toy.squares_in(toy_seen[0])) == [0, 1, 2]
 
 
+@pytest.mark.parametrize("seed", [0, 2, 4])
+def test_colours_of_seams_do_not_roam(seed: int) -> None:
+    # Squares between pixels blend with the wood, and two colours more look for such pixels.
+    states = [toy.scattered(np.random.default_rng(number), 200) for number in (1, 2)]
+    for number, some in enumerate(states):
+        some[::4] = anywhere(number, 50)
+    first, second = (toy.frames_of(some) for some in states)
+    colours = Colours(ColoursConfig(image_size=toy.SIZE, parts=7)).fit(first, second, seed)
+    roaming = colours.colours[colours.roams]
+    true = torch.tensor([*toy.SQUARES]) / 255 @ colours.chroma_of
+    assert len(roaming) == 3
+    assert float(torch.cdist(true, roaming).amin(dim=1).max()) < 0.05
+
+
 def test_places_are_found_within_a_fraction_of_a_pixel(toy_seen: Toy) -> None:
     perception, _ = toy_seen
     states = anywhere(3, 300)
