@@ -302,6 +302,15 @@ def test_the_grid_lies_over_the_codes_but_for_their_tails() -> None:
         np.testing.assert_allclose(bound, np.quantile(codes.numpy(), share, axis=0), atol=1e-4)
 
 
+def test_a_code_that_never_changes_has_a_gallery_too() -> None:
+    codes, opacity, images, hidden = seen_arms(5, 2)
+    codes[:, 2] = 0.25
+    model = gallery().fit_grid(torch.from_numpy(codes))
+    shown = drawn(model.fit(stream((codes, opacity, images, hidden))), codes)
+    assert np.isfinite(shown).all()
+    assert shown[:, 0].max() > 0.3
+
+
 def test_images_that_patches_do_not_fit_into_are_refused() -> None:
     with pytest.raises(ValueError, match="image_size must be a multiple of 8, got 20"):
         Gallery(GalleryConfig(), 20)
