@@ -132,7 +132,9 @@ def make(seed: int, episodes: int, steps: int) -> tuple[NDArray[np.float32], Flo
     states = np.empty((episodes, steps + 1, 14))
     for i in range(episodes):
         state = scattered(rng, 1)[0]
-        states[i, 0] = state
+        state[:3] = rng.uniform(_REACH[0], _REACH[1])
+        # What the hand is upon makes room for it.
+        states[i, 0] = state = after(state, np.zeros(3))
         for t in range(steps):
             states[i, t + 1] = state = after(state, actions[i, t].astype(np.float64))
     return actions, states
