@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import toy_desk as toy
+from hvf.data.store import Episodes, Metadata, write_episodes
 from hvf.models.desk.perception import DeskPerception
 from hvf.training.desk_tracks import DeskSampler, DeskTracks, track
 
@@ -186,6 +187,25 @@ def test_windows_of_pushed_and_slid_contain_such_events(tracks: DeskTracks, leng
     assert len(slid) >= 10
     assert set(map(tuple, tracks.pushed(length).tolist())) == pushed
     assert set(map(tuple, tracks.slid(length).tolist())) == slid
+
+
+def test_episodes_that_are_not_there_are_an_error(data: Path, perception: DeskPerception) -> None:
+    for first, episodes in ((0, EPISODES + 1), (EPISODES - 2, 3), (1, 0), (3, -1)):
+        with pytest.raises(ValueError, match=rf"episodes must be from 1 to {EPISODES - first}"):
+            DeskTracks(data, perception, episodes, first)
+
+
+def test_frames_and_actions_of_another_kind_are_an_error(
+    tmp_path: Path, perception: DeskPerception
+) -> None:
+    for size, actions, message in ((48, 3, "frames are"), (32, 2, "actions have 2 dimensions")):
+        path = tmp_path / f"{size}-{actions}.h5"
+        frames = np.zeros((2, 5, size, size, 3), np.uint8)
+        moves, states = np.zeros((2, 4, actions), np.float32), np.zeros((2, 5, 1))
+        metadata = Metadata("desk", {}, 0, 4, 2, {})
+        write_episodes(path, metadata, Episodes(frames, moves, states))
+        with pytest.raises(ValueError, match=message):
+            DeskTracks(path, perception, 2)
 
 
 # ---- stretches ---------------------------------------------------------------------------------
