@@ -381,7 +381,7 @@ def test_the_arm_is_drawn_before_everything(toy_seen: Toy) -> None:
         (ColoursConfig, {"width": 0.0}, "width must be between 0 and 1"),
         (BackdropConfig, {"bins": (1, 4)}, "bins must be at least 2"),
         (GalleryConfig, {"places": (2, 2, 1)}, "places must be at least 2"),
-        (GalleryConfig, {"patches": 0}, "patches must be at least 1"),
+        (GalleryConfig, {"patches": 2**15}, "patches must be from 1 to 32767"),
         (DeskPerceptionConfig, {"roaming": 0}, "roaming must be at least 1"),
         (DeskPerceptionConfig, {"sprite": 8}, "sprite must be odd"),
         (DeskDynamicsConfig, {"hand_pixels": -1.0}, "hand_pixels must be positive"),
