@@ -13,6 +13,7 @@ Letters in shapes: `N` frames, `E` episodes, `T` steps, `S` = 32 image size, `X`
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import TypeAlias
 
@@ -85,8 +86,12 @@ def frames_of(states: Floats, arm: bool = True, squares: bool = True) -> Tensor:
     return torch.from_numpy(draw(states, arm, squares))
 
 
+@functools.cache
 def seen() -> tuple[DeskPerception, Floats]:
-    """A perception of the toy with everything but the arm, and the states that it is taken from."""
+    """A perception of the toy with everything but the arm, and the states that it is taken from.
+
+    Made once for all tests: leave it as it is.
+    """
     states = jumbled(0, 2 * PLACES, 12)
     frames = frames_of(states.reshape(-1, 14)).reshape(*states.shape[:2], SIZE, SIZE, 3)
     torch.manual_seed(0)
