@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import io
 from pathlib import Path
@@ -207,6 +208,29 @@ def test_pairs_are_from_one_episode_and_in_half_of_them_something_is_pushed(
         share = np.mean([place in pushed for place in before])
         assert 0.4 < share < 0.8
         assert len(set(apart)) > 8
+
+
+@pytest.mark.parametrize("known", [0.9, 0.6, 0.1])
+def test_pairs_are_known_however_little_is(tracks: DeskTracks, known: float) -> None:
+    blind = copy.copy(tracks)
+    rng = np.random.default_rng(8)
+    seen = rng.random(tracks.known.shape) < known ** (1 / 3)
+    blind.known = np.where(seen, tracks.known.clip(1), 0).astype(np.uint8)
+    sampler = StatePairs(blind, 64, seed=2)
+    for step in range(3):
+        batch = sampler.batch(step)
+        for name in ("scenes", "states"):
+            assert batch[name].shape == (64, 14)
+            assert all(seen[place].all() for place in places_of(tracks, batch[name]))
+
+
+def test_without_a_pair_there_is_one_clear_error(tracks: DeskTracks) -> None:
+    blind = copy.copy(tracks)
+    blind.known = np.zeros_like(tracks.known)
+    # A single frame is no pair.
+    blind.known[:, 7] = 2
+    with pytest.raises(ValueError, match="tracks: no two frames in which all parts are known"):
+        StatePairs(blind, 4, seed=0)
 
 
 # ---- training ----------------------------------------------------------------------------------
