@@ -84,13 +84,34 @@ class StatePairs:
         self._sure: NDArray[np.bool_] = np.asarray((tracks.known > 0).all(axis=2))
         pushed = tracks.pushed(min(_PLAN, tracks.actions.shape[1]))
         self._pushed = pushed[self._sure[pushed[:, 0], pushed[:, 1]]]
-        self._any = np.argwhere(self._sure[:, :-1])
+        self._any = self._starts()
         if not len(self._any):
-            raise ValueError("tracks: no frame in which all parts are known")
+            raise ValueError("tracks: no two frames in which all parts are known, one later")
 
     def batch(self, step: int) -> Mapping[str, torch.Tensor]:
         """The batch of training step ``step``, a function of (seed, step)."""
         rng = np.random.default_rng([self._seed, step])
+        found, wanted = [self._draw(rng)], self._count
+        while sum(pairs.shape[1] for pairs in found) < wanted:
+            found.append(self._draw(rng))
+        episode, first, later = np.concatenate(found, axis=1)[:, :wanted]
+        truth = self._tracks.truth
+        return {
+            "scenes": torch.from_numpy(truth[episode, first]),
+            "states": torch.from_numpy(truth[episode, later]),
+        }
+
+    def _starts(self) -> NDArray[np.int64]:
+        """Episodes and frames ``[N, 2]`` that are known, as is one of those drawn for later."""
+        starts, last = np.argwhere(self._sure[:, :-1]), self._tracks.actions.shape[1]
+        before = np.pad(self._sure.cumsum(axis=1), ((0, 0), (1, 0)))
+        nearest, farthest = (np.minimum(starts[:, 1] + ahead, last) for ahead in _LATER)
+        between = before[starts[:, 0], farthest + 1] - before[starts[:, 0], nearest]
+        chosen: NDArray[np.int64] = starts[between > 0]
+        return chosen
+
+    def _draw(self, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Episodes, first and later frames ``[3, N]`` of pairs that are known."""
         # Twice as many as are wanted: some end where a part is not known.
         size, last = 2 * self._count, self._tracks.actions.shape[1]
         chosen = self._any[rng.integers(len(self._any), size=size)]
@@ -101,14 +122,8 @@ class StatePairs:
             ahead[half] = _PLAN
         episode, first = chosen.T
         later = np.minimum(first + ahead, last)
-        sure = self._sure[episode, later]
-        order = np.argsort(~sure, kind="stable")[: self._count]
-        episode, first, later = episode[order], first[order], later[order]
-        truth = self._tracks.truth
-        return {
-            "scenes": torch.from_numpy(truth[episode, first]),
-            "states": torch.from_numpy(truth[episode, later]),
-        }
+        pairs: NDArray[np.int64] = np.stack([episode, first, later])
+        return pairs[:, self._sure[episode, later]]
 
 
 def train_desk_generator(

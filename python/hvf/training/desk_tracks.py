@@ -46,6 +46,10 @@ class DeskTracks:
         first: the first of them.
         console: where progress goes.
 
+    Raises:
+        FileNotFoundError, ValueError: as :class:`EpisodeFile`; episodes that are not there, or
+            frames or actions of another kind than the perception's.
+
     Attributes:
         states: as seen, float32 ``[E, T+1, X]``.
         truth: with what is known in hindsight, float32 ``[E, T+1, X]``.
@@ -64,11 +68,20 @@ class DeskTracks:
         console: Console | None = None,
     ) -> None:
         with EpisodeFile(path, "desk") as file:
-            if not 1 <= first + episodes <= len(file):
+            if not 1 <= episodes <= len(file) - first:
                 raise ValueError(
-                    f"episodes must be at most {len(file) - first} for {path}, got {episodes}"
+                    f"episodes must be from 1 to {len(file) - first} for {path}, got {episodes}"
                 )
             steps, config = file.metadata.steps, perception.config
+            size, dimensions = (config.image_size, config.image_size), config.arm.action_dim
+            if file.frame_shape[:2] != size:
+                raise ValueError(
+                    f"{path}: frames are {file.frame_shape[:2]}, the model takes {size}"
+                )
+            if file.action_dim != dimensions:
+                raise ValueError(
+                    f"{path}: actions have {file.action_dim} dimensions, the model's {dimensions}"
+                )
             self.states = np.empty((episodes, steps + 1, config.state_size), np.float32)
             self.actions = np.empty((episodes, steps, file.action_dim), np.float32)
             mass = np.empty((episodes, steps + 1, config.roaming), np.float32)

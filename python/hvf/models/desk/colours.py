@@ -29,6 +29,8 @@ _SAMPLE = 60_000
 # Difference in 256 grey levels from which on a pixel has changed.
 _CHANGED = 20
 _AT_ONCE = 512
+# Chroma that no colour has.
+_NONE = 10.0
 # A mask below this is the seam of two other colours; over a frame such pixels would add up.
 _SEAM = 0.2
 # Part of all frames in which a fixture's colour is seen where the fixture can be.
@@ -115,7 +117,10 @@ class Colours(nn.Module):
             raise ValueError("frames: too few coloured pixels change to find parts by")
         generator = torch.Generator().manual_seed(seed)
         chroma = chroma[torch.randperm(len(chroma), generator=generator)[:_SAMPLE]]
-        self.colours.copy_(_clusters(chroma, self.config.parts, generator))
+        centres = _clusters(chroma, self.config.parts, generator)
+        # Seams of opposite colours have a mean that is grey, as much else is: it must match none.
+        centres[centres.norm(dim=1) < self.config.least_chroma] = _NONE
+        self.colours.copy_(centres)
         seen = torch.zeros_like(self.often)
         for frames in torch.split(first, _AT_ONCE):
             seen += self.masks(frames).sum(dim=0)

@@ -21,6 +21,8 @@ from torch import Tensor, nn
 # Less mean opacity than this is the noise of other edges.
 _NOISE = 0.15
 _TAIL = 0.003
+# Where the hand's code does not vary, all places but the first are beyond it.
+_LEAST_STEP = 1e-3
 # Frames that a place needs for an image of its own; weights of frames in between count in part.
 _ENOUGH = 1.0
 
@@ -83,7 +85,8 @@ class Gallery(nn.Module):
         tails = torch.tensor([_TAIL, 1 - _TAIL])
         low, high = codes.quantile(tails, dim=0)
         self.low.copy_(low)
-        self.step.copy_((high - low) / (torch.tensor(self.config.places) - 1))
+        step = (high - low) / (torch.tensor(self.config.places) - 1)
+        self.step.copy_(step.clamp_min(_LEAST_STEP))
         return self
 
     def fit(self, seen: Iterable[tuple[Tensor, Tensor, Tensor, Tensor]]) -> Gallery:

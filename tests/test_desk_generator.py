@@ -1,0 +1,331 @@
+"""The generator of the desk's states: what it draws, learns from, and how it is trained."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+from torch import Tensor, nn
+
+import toy_desk as toy
+from hvf.data.loader import EpisodePool
+from hvf.data.store import Episodes, Metadata, write_episodes
+from hvf.models.checkpoint import load_model, read_tensors, save_model
+from hvf.models.desk.dynamics import DeskDynamics
+from hvf.models.desk.generator import DeskGenerator, DeskGeneratorConfig
+from hvf.models.desk.perception import DeskPerception
+from hvf.training.desk_generator import (
+    DeskGeneratorTraining,
+    StatePairs,
+    train_desk_generator,
+    validate_desk_generator,
+)
+from hvf.training.desk_tracks import DeskTracks
+from hvf.training.loop import LoopConfig
+
+EPISODES, STEPS = 40, 30
+SMALL = DeskGeneratorConfig(image_size=toy.SIZE, latent_dim=4, hidden=16)
+SHORT = LoopConfig(
+    steps=8, learning_rate=1e-3, precision="float32", validate_every=8, checkpoint_every=4
+)
+QUIET = Console(file=io.StringIO())
+
+
+@pytest.fixture(scope="module")
+def perception() -> DeskPerception:
+    return toy.seen()[0]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "desk.h5"
+    toy.write(path, 0, EPISODES, STEPS)
+    return path
+
+
+@pytest.fixture(scope="module")
+def tracks(data: Path, perception: DeskPerception) -> DeskTracks:
+    """Tracks of which every state bears its number: episode and frame, in place of the hand."""
+    found = DeskTracks(data, perception, EPISODES)
+    found.truth[..., 0] = np.arange(EPISODES)[:, None]
+    found.truth[..., 1] = np.arange(STEPS + 1)
+    return found
+
+
+@pytest.fixture(scope="module")
+def dynamics(perception: DeskPerception, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("dynamics") / "model.safetensors"
+    model = DeskDynamics(toy.TINY).freeze_perception(perception)
+    save_model(path, model, environment="desk")
+    return path
+
+
+def restless(seed: int) -> DeskGenerator:
+    """A generator that nobody trained, of which everything moves somewhat."""
+    torch.manual_seed(seed)
+    model = DeskGenerator(SMALL).requires_grad_(False)
+    last_layer(model).weight.normal_(std=0.3)
+    before = scenes(seed, 300)
+    change = (model.rebuild(torch.randn(300, 4), before) - before) / model.scale
+    last_layer(model).bias.sub_(change.mean(dim=0))
+    last_layer(model).bias[[7, 10, 13]] -= 0.4
+    return model
+
+
+def last_layer(model: DeskGenerator) -> nn.Linear:
+    layer = model.decoder[-1]
+    assert isinstance(layer, nn.Linear)
+    return layer
+
+
+def scenes(seed: int, count: int) -> Tensor:
+    """States of the toy, some squares of which are gone."""
+    rng = np.random.default_rng(seed)
+    states = toy.scattered(rng, count)
+    states[:, 7::3] = rng.random((count, 3)) < 0.7
+    return torch.from_numpy(states).float()
+
+
+# ---- what is drawn -----------------------------------------------------------------------------
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_what_hardly_moves_does_not_move_by_a_bit(seed: int) -> None:
+    model, before = restless(seed % 7), scenes(seed, 60)
+    latents = torch.randn(60, 4, generator=torch.Generator().manual_seed(seed % 2**31))
+    drawn, rebuilt = model.decode(latents, before), model.rebuild(latents, before)
+    assert torch.equal(drawn[:, :3], rebuilt[:, :3])
+    for n in range(60):
+        for i in (3, 4):
+            was, wish, now = (float(x[n, i]) for x in (before, rebuilt, drawn))
+            wish = min(max(wish, 0.0), 1.0)
+            if abs(abs(wish - was) - 0.03) > 1e-5:
+                assert now == (was if abs(wish - was) < 0.03 else wish)
+        for i in (5, 8, 11):
+            start, idea, end = (x[n, i : i + 3] for x in (before, rebuilt, drawn))
+            far = float((idea - start)[:2].double().norm())
+            if abs(far - 1.5) > 1e-4:
+                assert torch.equal(end[:2], start[:2] if far < 1.5 else idea[:2])
+            # What is gone does not come back.
+            assert float(end[2]) == (1.0 if idea[2] > 0.5 and start[2] else 0.0)
+
+
+def test_some_of_everything_is_drawn() -> None:
+    model, before = restless(1), scenes(1, 500)
+    drawn = model.decode(torch.randn(500, 4), before)
+    for i in (3, 4, 5, 8, 11):
+        assert 0.02 < float((drawn[:, i] != before[:, i]).float().mean()) < 0.98
+    there = before[:, 7::3] == 1
+    assert 0.02 < float((drawn[:, 7::3] == 0)[there].float().mean()) < 0.98
+
+
+def test_the_loss_is_the_negative_evidence_lower_bound() -> None:
+    model = restless(2)
+    batch = {"scenes": scenes(3, 50), "states": scenes(4, 50)}
+    found, parts = model.loss(batch, torch.Generator().manual_seed(5), 0)
+    mean, log_variance = model.encode(batch["states"], batch["scenes"])
+    noise = torch.randn(mean.shape, generator=torch.Generator().manual_seed(5))
+    rebuilt = model.rebuild(mean + noise * (log_variance / 2).exp(), batch["scenes"])
+    guess, truth = rebuilt.double().numpy(), batch["states"].double().numpy()
+    m, v = mean.double().numpy(), np.exp(log_variance.double().numpy())
+    kl = 0.5 * (m**2 + v - np.log(v) - 1).sum(axis=1).mean()
+    distortion = 0.0
+    for n in range(50):
+        error = (guess[n] - truth[n]) ** 2
+        distortion += 0.5 * (error[:3].sum() / 0.25**2 + error[3:5].sum() / 0.03**2) / 50
+        for i in (5, 8, 11):
+            # Where a part is that is gone does not matter.
+            distortion += 0.5 * error[i : i + 2].sum() * truth[n, i + 2] / 50
+            distortion += 0.5 * error[i + 2] / 0.2**2 / 50
+    assert float(parts["kl"]) == pytest.approx(kl, rel=1e-4)
+    assert float(parts["distortion"]) == pytest.approx(distortion, rel=1e-4)
+    assert float(found) == pytest.approx(kl + distortion, rel=1e-4)
+
+
+def test_a_trained_generator_rebuilds_what_it_is_shown() -> None:
+    torch.manual_seed(6)
+    model = DeskGenerator(dataclasses.replace(SMALL, hidden=48, hand_precision=1.0))
+    optimiser = torch.optim.Adam(model.parameters(), 6e-3)
+    first = scenes(7, 300)
+    first[:, 7::3] = 1
+    later = first.clone()
+    # In half of all pairs one square goes to the right; the door opens in the others.
+    later[::2, 6] += 6.0
+    later[1::2, 3] = 1 - later[1::2, 3]
+    losses = []
+    for step in range(200):
+        generator = torch.Generator().manual_seed(step)
+        loss, _ = model.loss({"scenes": first, "states": later}, generator, step)
+        optimiser.zero_grad()
+        torch.autograd.backward(loss)
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 0.1 * losses[0]
+    with torch.inference_mode():
+        latents, _ = model.encode(later, first)
+        drawn = model.decode(latents, first)
+    # A square and a door that moved are where they went, the others exactly where they were.
+    assert float((drawn[::2, 6] - later[::2, 6]).abs().mean()) < 1.5
+    still = (drawn[:, 8:10] == first[:, 8:10]).all(dim=1).float().mean()
+    assert float(still) > 0.8
+
+
+# ---- pairs of states ---------------------------------------------------------------------------
+
+
+def places_of(tracks: DeskTracks, states: Tensor) -> list[tuple[int, int]]:
+    """Episodes and frames that these states are those of."""
+    places = [(int(state[0]), int(state[1])) for state in states]
+    for place, state in zip(places, states.numpy(), strict=True):
+        np.testing.assert_array_equal(tracks.truth[place], state)
+    return places
+
+
+def test_pairs_are_from_one_episode_and_in_half_of_them_something_is_pushed(
+    tracks: DeskTracks,
+) -> None:
+    pushed = set(map(tuple, tracks.pushed(15).tolist()))
+    for step in range(3):
+        batch = StatePairs(tracks, 40, seed=1).batch(step)
+        again = StatePairs(tracks, 40, seed=1).batch(step)
+        assert all(torch.equal(batch[name], again[name]) for name in ("scenes", "states"))
+        before, after = (places_of(tracks, batch[name]) for name in ("scenes", "states"))
+        for (episode, first), (same, later) in zip(before, after, strict=True):
+            assert episode == same
+            assert first + 5 <= later <= first + 30 or first < later == STEPS
+            assert (tracks.known[episode, [first, later]] > 0).all()
+        apart = [later - first for (_, first), (_, later) in zip(before, after, strict=True)]
+        share = np.mean([place in pushed for place in before])
+        assert 0.4 < share < 0.8
+        assert len(set(apart)) > 8
+
+
+@pytest.mark.parametrize("known", [0.9, 0.6, 0.1])
+def test_pairs_are_known_however_little_is(tracks: DeskTracks, known: float) -> None:
+    blind = copy.copy(tracks)
+    rng = np.random.default_rng(8)
+    seen = rng.random(tracks.known.shape) < known ** (1 / 3)
+    blind.known = np.where(seen, tracks.known.clip(1), 0).astype(np.uint8)
+    sampler = StatePairs(blind, 64, seed=2)
+    for step in range(3):
+        batch = sampler.batch(step)
+        for name in ("scenes", "states"):
+            assert batch[name].shape == (64, 14)
+            assert all(seen[place].all() for place in places_of(tracks, batch[name]))
+
+
+def test_without_a_pair_there_is_one_clear_error(tracks: DeskTracks) -> None:
+    blind = copy.copy(tracks)
+    blind.known = np.zeros_like(tracks.known)
+    # A single frame is no pair.
+    blind.known[:, 7] = 2
+    with pytest.raises(ValueError, match="tracks: no two frames in which all parts are known"):
+        StatePairs(blind, 4, seed=0)
+
+
+# ---- training ----------------------------------------------------------------------------------
+
+
+def trained(data: Path, dynamics: Path, out: Path, **settings: Any) -> str:
+    said = io.StringIO()
+    config = DeskGeneratorTraining(
+        data, dynamics, out, episodes=30, batch_size=16, model=SMALL, loop=SHORT
+    )
+    train_desk_generator(dataclasses.replace(config, **settings), Console(file=said, width=300))
+    return said.getvalue()
+
+
+def test_training_that_died_goes_on_to_the_same_result(
+    data: Path, dynamics: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trained(data, dynamics, tmp_path / "whole")
+    assert "already trained for 8 steps" in trained(data, dynamics, tmp_path / "whole")
+    draw = StatePairs.batch
+
+    def die(sampler: StatePairs, step: int) -> object:
+        if step == 6:
+            raise MemoryError("killed")
+        return draw(sampler, step)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(StatePairs, "batch", die)
+        with pytest.raises(MemoryError):
+            trained(data, dynamics, tmp_path / "died")
+    assert "resuming at step 4" in trained(data, dynamics, tmp_path / "died")
+    whole, died = (
+        read_tensors(tmp_path / name / "training.safetensors")[0] for name in ("whole", "died")
+    )
+    assert whole.keys() == died.keys()
+    assert all(whole[name].equal(died[name]) for name in whole)
+
+
+def test_the_model_takes_its_sizes_from_the_dynamics(
+    data: Path, dynamics: Path, tmp_path: Path
+) -> None:
+    config = DeskGeneratorTraining(data, dynamics, tmp_path, episodes=4, loop=SHORT)
+    small = dataclasses.replace(SMALL, image_size=64, action_dim=1, sliders=1, roaming=1)
+    model = train_desk_generator(dataclasses.replace(config, model=small), QUIET)
+    assert model.config == SMALL
+
+
+def test_validation_counts_what_moves(data: Path, dynamics: Path) -> None:
+    world = load_model(dynamics, DeskDynamics, environment="desk")
+    held_out = EpisodePool(data, "validation", environment="desk")
+    held_out.move_to(0)
+    model = DeskGenerator(SMALL).requires_grad_(False)
+    last_layer(model).weight.zero_()
+    for slide, rows in ((0.0, 0.0), (0.7, 0.0), (0.0, 0.3)):
+        # The first slider goes by a third of its way or so, the first part by five rows.
+        last_layer(model).bias.zero_()
+        last_layer(model).bias[3] = slide
+        last_layer(model).bias[5] = rows
+        found = validate_desk_generator(model, world, held_out, torch.Generator().manual_seed(0))
+        at_end = np.mean(
+            [
+                bool(s)
+                for s in (
+                    world.perception.observe(torch.from_numpy(held_out.frames[:10, 0]))[:, 3] > 0.97
+                )
+            ]
+        )
+        assert found.metrics["moved"] == (1.0 if rows else 0.0)
+        assert found.metrics["slid"] == pytest.approx((1.0 - at_end) if slide else 0.0)
+        assert found.pictures["subgoals"].ndim == 3
+
+
+def test_data_that_the_dynamics_does_not_fit_is_one_clear_error(
+    dynamics: Path, data: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.h5"
+    frames = np.zeros((4, 5, 16, 16, 3), np.uint8)
+    moves, states = np.zeros((4, 4, 3), np.float32), np.zeros((4, 5, 1))
+    write_episodes(other, Metadata("desk", {}, 0, 4, 4, {}), Episodes(frames, moves, states))
+    with pytest.raises(ValueError, match=r"other\.h5: frames are \(16, 16\), the model takes"):
+        trained(other, dynamics, tmp_path / "out")
+    with pytest.raises(FileNotFoundError, match=r"no\.safetensors"):
+        trained(data, tmp_path / "no.safetensors", tmp_path / "out")
+    with pytest.raises(ValueError, match="batch_size must be at least 1"):
+        trained(data, dynamics, tmp_path / "out", batch_size=0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"latent_dim": 0}, "latent_dim must be at least 1"),
+        ({"part_precision": 0.0}, "part_precision must be positive"),
+        ({"least_move": -1.0}, "least_move must not be negative"),
+    ],
+)
+def test_settings_out_of_range_are_named(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        DeskGeneratorConfig(**settings)  # type: ignore[arg-type]
