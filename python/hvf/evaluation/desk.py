@@ -48,9 +48,9 @@ class DeskPlanning(Planning):
     initial: Literal["uniform", "normal"] = "uniform"
     initial_std: float = 1.0
     horizon: int = 15
-    subgoal_samples: int = 40
-    subgoal_elites: int = 8
-    subgoal_iterations: int = 3
+    subgoal_samples: int = 20
+    subgoal_elites: int = 5
+    subgoal_iterations: int = 2
     action_repeat: int = 3
     replan_every: int = 3
     keep_better: bool = False
