@@ -157,7 +157,9 @@ class Gallery(nn.Module):
         width, side = self.config.patch, self.image_size // self.config.patch
         cells = codes.new_zeros(len(codes), side * side, 4, width, width)
         for place, share in self.corners(codes):
-            cells += self.patches[self.index[place].long()] * (share / 255)[:, None, None, None, None]
+            cells += (
+                self.patches[self.index[place].long()] * (share / 255)[:, None, None, None, None]
+            )
         cells = cells.reshape(-1, side, side, 4, width, width).permute(0, 3, 1, 4, 2, 5)
         drawn = cells.reshape(-1, 4, self.image_size, self.image_size)
         return drawn[:, :1], drawn[:, 1:]
