@@ -5,7 +5,7 @@
 //! one, rounded once, so the result has the same bits on every machine and for every batch size.
 //! (A processor without the instruction computes the same, at a tenth of the speed.)
 
-use ndarray::ArrayView2;
+use ndarray::{ArrayView1, ArrayView2};
 
 /// Inputs that are worked on together.
 pub const LANES: usize = 16;
@@ -49,6 +49,60 @@ impl Packed {
             }
             out.copy_from_slice(&sums);
         }
+    }
+}
+
+/// A linear layer, its bias padded with zeros to a multiple of [`OUTPUTS`].
+#[derive(Clone, Debug)]
+pub(crate) struct Layer {
+    weights: Packed,
+    bias: Vec<[f32; OUTPUTS]>,
+    outputs: usize,
+}
+
+impl Layer {
+    /// Packs `weights[outputs, inputs]` and `bias[outputs]`.
+    pub(crate) fn new(weights: ArrayView2<'_, f32>, bias: ArrayView1<'_, f32>) -> Self {
+        let mut padded = bias.to_vec();
+        padded.resize(bias.len().next_multiple_of(OUTPUTS), 0.0);
+        Self {
+            weights: Packed::new(weights, |_| 1.0),
+            bias: padded.as_chunks().0.to_vec(),
+            outputs: bias.len(),
+        }
+    }
+
+    /// Room for what the layer gives.
+    pub(crate) fn room(&self) -> Vec<Lanes> {
+        vec![[0.0; LANES]; self.bias.len() * OUTPUTS]
+    }
+
+    /// What the layer makes of `inputs`, negative values as zero if it is to be `rectified`.
+    #[inline(always)]
+    pub(crate) fn apply<'r>(
+        &self,
+        inputs: &[Lanes],
+        rectified: bool,
+        out: &'r mut [Lanes],
+    ) -> &'r [Lanes] {
+        let least = if rectified { 0.0 } else { f32::NEG_INFINITY };
+        let outs = out.as_chunks_mut::<OUTPUTS>().0;
+        let weights = self.weights.0.chunks_exact(inputs.len());
+        for ((out, weights), bias) in outs.iter_mut().zip(weights).zip(&self.bias) {
+            let mut sums: [Lanes; OUTPUTS] = std::array::from_fn(|q| [bias[q]; LANES]);
+            for (input, weight) in inputs.iter().zip(weights) {
+                for q in 0..OUTPUTS {
+                    for lane in 0..LANES {
+                        sums[q][lane] = weight[q].mul_add(input[lane], sums[q][lane]);
+                    }
+                }
+            }
+            *out = sums;
+            for value in out.as_flattened_mut() {
+                *value = value.max(least);
+            }
+        }
+        &out[..self.outputs]
     }
 }
 

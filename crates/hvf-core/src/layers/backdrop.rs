@@ -35,6 +35,13 @@ impl Corners {
     fn all(&self) -> &[(usize, f32)] {
         &self.corners[..self.count]
     }
+
+    /// Whether the images are the same, though not how much of each.
+    #[inline(always)]
+    pub fn are_those_of(&self, other: &Corners) -> bool {
+        let pairs = self.all().iter().zip(other.all());
+        self.count == other.count && pairs.into_iter().all(|(a, b)| a.0 == b.0)
+    }
 }
 
 impl Backdrop {

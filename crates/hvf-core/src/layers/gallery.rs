@@ -34,10 +34,13 @@ pub struct Gallery {
     low: [f32; DIMENSIONS],
     step: [f32; DIMENSIONS],
     places: [usize; DIMENSIONS],
-    /// `[M][4][T * T]`.
+    /// `[M][4][T * T]`, those of a place's image one after the other, and so are those of
+    /// neighbours along the last dimension: what is read together lies together.
     patches: Vec<[u8; BLOCK]>,
-    /// `[places][tiles]`.
+    /// `[places][tiles]`, 0 where there is no arm.
     index: Vec<u32>,
+    /// Tiles with an arm, a bit each: `[places][words]`.
+    occupied: Vec<u64>,
     tiles: Tiles,
 }
 
@@ -85,14 +88,34 @@ impl Gallery {
         if images.step.iter().any(|x| !(x.is_finite() && *x > 0.0)) {
             return Err(Error::invalid("arm_step", "must be positive and finite"));
         }
+        let length = 4 * tiles.plane();
         let bytes: Vec<u8> = images.patches.iter().copied().collect();
-        let patches = bytes.as_chunks::<BLOCK>().0.to_vec();
+        let mut numbers = vec![0; count];
+        let mut ordered = vec![0; length];
+        let mut index = Vec::with_capacity(images.index.len());
+        let mut occupied = Vec::new();
+        for image in images.index.rows() {
+            let mut words = vec![0; tiles.words()];
+            for (tile, &old) in image.iter().enumerate() {
+                let old = old as usize;
+                if old != 0 {
+                    words[tile / 64] |= 1 << (tile % 64);
+                    if numbers[old] == 0 {
+                        numbers[old] = (ordered.len() / length) as u32;
+                        ordered.extend_from_slice(&bytes[old * length..][..length]);
+                    }
+                }
+                index.push(numbers[old]);
+            }
+            occupied.extend(words);
+        }
         Ok(Self {
             low: images.low,
             step: images.step,
             places: images.places,
-            patches,
-            index: images.index.iter().map(|&number| number as u32).collect(),
+            patches: ordered.as_chunks().0.to_vec(),
+            index,
+            occupied,
             tiles,
         })
     }
@@ -123,16 +146,14 @@ impl Gallery {
         })
     }
 
-    /// Sets `drawn[tiles]` to whether there is an arm in a tile.
+    /// Adds the tiles with an arm to `drawn`, a bit each.
     #[inline(always)]
-    pub fn occupied(&self, around: &Around, drawn: &mut [bool]) {
-        drawn.fill(false);
-        let count = self.tiles.count();
+    pub fn occupied(&self, around: &Around, drawn: &mut [u64]) {
         for &(place, share) in around {
             if share != 0.0 {
-                let numbers = &self.index[place * count..][..count];
-                for (drawn, &number) in drawn.iter_mut().zip(numbers) {
-                    *drawn |= number != 0;
+                let occupied = &self.occupied[place * drawn.len()..][..drawn.len()];
+                for (drawn, occupied) in drawn.iter_mut().zip(occupied) {
+                    *drawn |= occupied;
                 }
             }
         }

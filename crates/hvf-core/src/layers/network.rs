@@ -2,7 +2,7 @@
 
 use ndarray::{ArrayView1, ArrayView2};
 
-use crate::lanes::{rectify, Lanes, Packed, LANES, OUTPUTS};
+use crate::lanes::{Lanes, Layer};
 use crate::{Error, Result};
 
 /// Weights `[outputs, inputs]` and bias `[outputs]` of a layer, as `torch.nn.Linear` stores them.
@@ -12,14 +12,6 @@ pub type Linear<'a> = (ArrayView2<'a, f32>, ArrayView1<'a, f32>);
 #[derive(Clone, Debug)]
 pub struct Network {
     layers: Vec<Layer>,
-}
-
-#[derive(Clone, Debug)]
-struct Layer {
-    weights: Packed,
-    /// Padded with zeros to a multiple of [`OUTPUTS`].
-    bias: Vec<f32>,
-    outputs: usize,
 }
 
 /// Room for what the layers of a network give, one block.
@@ -69,18 +61,13 @@ impl Network {
         if layers.is_empty() {
             return Err(Error::invalid(argument, "must have at least one layer"));
         }
-        let pack = |(weights, bias): &Linear<'_>| {
-            let outputs = bias.len();
-            let mut bias = bias.to_vec();
-            bias.resize(outputs.next_multiple_of(OUTPUTS), 0.0);
-            Layer { weights: Packed::new(*weights, |_| 1.0), bias, outputs }
-        };
+        let pack = |(weights, bias): &Linear<'_>| Layer::new(*weights, *bias);
         Ok(Self { layers: layers.iter().map(pack).collect() })
     }
 
     /// Room for one block.
     pub fn room(&self) -> Room {
-        Room(self.layers.iter().map(|layer| vec![[0.0; LANES]; layer.bias.len()]).collect())
+        Room(self.layers.iter().map(Layer::room).collect())
     }
 
     /// What the network makes of a block of `inputs`.
@@ -89,14 +76,8 @@ impl Network {
         let mut before: &[Lanes] = &[];
         let last = self.layers.len() - 1;
         for (number, (layer, out)) in self.layers.iter().zip(&mut room.0).enumerate() {
-            for (unit, &bias) in out.iter_mut().zip(&layer.bias) {
-                *unit = [bias; LANES];
-            }
-            layer.weights.accumulate(if number == 0 { inputs } else { before }, out);
-            if number < last {
-                rectify(out);
-            }
-            before = &out[..layer.outputs];
+            let inputs = if number == 0 { inputs } else { before };
+            before = layer.apply(inputs, number < last, out);
         }
         before
     }

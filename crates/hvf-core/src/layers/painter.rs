@@ -55,6 +55,7 @@ pub struct Scene<'a> {
 #[derive(Clone, Debug)]
 pub struct Canvas {
     around: Around,
+    before: Corners,
     corners: Corners,
     /// Number and stamp of parts that moved.
     moved: Vec<usize>,
@@ -62,7 +63,7 @@ pub struct Canvas {
     /// Where the backdrop, a part, or the arm has to be drawn.
     slid: Vec<bool>,
     pushed: Vec<bool>,
-    armed: Vec<bool>,
+    armed: Vec<u64>,
     behind: Vec<f32>,
     backdrop: Vec<f32>,
     arm: Vec<f32>,
@@ -123,13 +124,7 @@ impl Painter {
     pub fn scene<'a>(&self, start: Start<'a>) -> Scene<'a> {
         let corners = self.backdrop.corners(&start.state[DIMENSIONS..][..SLIDERS]);
         let mut residual = start.clean.to_vec();
-        let mut backdrop = vec![0.0; self.tiles.values()];
-        for (tile, residual) in residual.chunks_exact_mut(self.tiles.values()).enumerate() {
-            self.backdrop.draw(&corners, tile, &mut backdrop);
-            for (residual, backdrop) in residual.iter_mut().zip(&backdrop) {
-                *residual -= backdrop;
-            }
-        }
+        take_away(&self.backdrop, &corners, &mut residual);
         Scene {
             start,
             still: start.clean.iter().map(|value| value.clamp(0.0, 255.0)).collect(),
@@ -148,12 +143,13 @@ impl Painter {
         let (count, values) = (self.tiles.count(), self.tiles.values());
         Canvas {
             around: Around::default(),
+            before: Corners::default(),
             corners: Corners::default(),
             moved: Vec::with_capacity(self.roaming()),
             stamps: vec![self.sprites.stamp(self.tiles); self.roaming()],
             slid: vec![false; count],
             pushed: vec![false; count],
-            armed: vec![false; count],
+            armed: vec![0; self.tiles.words()],
             behind: vec![0.0; values],
             backdrop: vec![0.0; values],
             arm: vec![0.0; 4 * self.tiles.plane()],
@@ -172,9 +168,14 @@ impl Painter {
     fn find(&self, scene: &Scene<'_>, state: &[f32], canvas: &mut Canvas) {
         let tiles = self.tiles;
         canvas.around = self.gallery.around([state[0], state[1], state[2]]);
+        canvas.armed.fill(0);
         self.gallery.occupied(&canvas.around, &mut canvas.armed);
-        canvas.corners = self.backdrop.corners(&state[DIMENSIONS..][..SLIDERS]);
-        self.backdrop.compare(&scene.corners, &canvas.corners, &mut canvas.slid);
+        let corners = self.backdrop.corners(&state[DIMENSIONS..][..SLIDERS]);
+        // Sliders seldom go far: often the candidate before had the same images.
+        if !(corners.are_those_of(&canvas.corners) && scene.corners.are_those_of(&canvas.before)) {
+            self.backdrop.compare(&scene.corners, &corners, &mut canvas.slid);
+        }
+        (canvas.before, canvas.corners) = (scene.corners, corners);
         canvas.moved.clear();
         canvas.pushed.fill(false);
         let first = DIMENSIONS + SLIDERS;
@@ -217,13 +218,26 @@ impl Painter {
     }
 }
 
+/// Subtracts a backdrop from an image.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn take_away(backdrop: &Backdrop, corners: &Corners, image: &mut [f32]) {
+    let mut drawn = vec![0.0; backdrop.tiles().values()];
+    for (tile, image) in image.chunks_exact_mut(drawn.len()).enumerate() {
+        backdrop.draw(corners, tile, &mut drawn);
+        for (value, drawn) in image.iter_mut().zip(&drawn) {
+            *value -= drawn;
+        }
+    }
+}
+
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn paint(painter: &Painter, scene: &Scene<'_>, state: &[f32], canvas: &mut Canvas) {
     let values = painter.tiles.values();
     painter.find(scene, state, canvas);
     canvas.drawn.clear();
     for tile in 0..painter.tiles.count() {
-        let (slid, pushed, armed) = (canvas.slid[tile], canvas.pushed[tile], canvas.armed[tile]);
+        let (slid, pushed) = (canvas.slid[tile], canvas.pushed[tile]);
+        let armed = canvas.armed[tile / 64] >> (tile % 64) & 1 != 0;
         if !(slid || pushed || armed) {
             continue;
         }

@@ -50,6 +50,11 @@ impl Tiles {
         (self.size / self.tile).pow(2)
     }
 
+    /// Words of 64 bits that hold a bit for each tile.
+    pub fn words(&self) -> usize {
+        self.count().div_ceil(64)
+    }
+
     /// Pixels of a tile.
     pub fn plane(&self) -> usize {
         self.tile * self.tile
