@@ -70,6 +70,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Plan and act in one episode at the Franka desk; pictures.",
     ),
     "demo maze": ("hvf.cli.demo:maze", "Reach a few goal images with and without subgoals."),
+    "demo desk": ("hvf.cli.demo_desk:desk", "The same at the Franka desk."),
 }
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -14,25 +15,24 @@ from hvf.cli.presets import begin_with_preset as prepare
 from hvf.evaluation.maze import MazeEvaluation, Preset
 from hvf.evaluation.task import AgentName
 
-__all__ = ["maze", "prepare"]
+if TYPE_CHECKING:
+    from hvf.evaluation.task import EpisodeTask
+
+__all__ = ["DemoMaze", "Shown", "maze", "prepare", "show"]
 
 
 @dataclasses.dataclass(frozen=True)
-class DemoMaze:
-    """A few episodes of the maze.
+class Shown:
+    """What is shown of a few episodes, and where.
 
     Attributes:
-        evaluation: which world and difficulty, and how it plans; agent hvf is compared with none.
         episodes: how many.
         pictures: of how many of them to draw pictures.
-        preset: settings to begin with; the options below show and change them one by one.
         out: folder for the pictures and the results.
     """
 
-    evaluation: Annotated[MazeEvaluation, tyro.conf.OmitArgPrefixes] = MazeEvaluation()
     episodes: int = 8
     pictures: int = 3
-    preset: Preset = "default"
     out: Path = Path("outputs/demo")
 
     def __post_init__(self) -> None:
@@ -42,11 +42,42 @@ class DemoMaze:
             raise ValueError(f"pictures: must not be negative, got {self.pictures}")
 
 
+@dataclasses.dataclass(frozen=True)
+class DemoMaze(Shown):
+    """A few episodes of the maze.
+
+    Attributes:
+        evaluation: which world and difficulty, and how it plans; agent hvf is compared with none.
+        preset: settings to begin with; the options below show and change them one by one.
+    """
+
+    evaluation: Annotated[MazeEvaluation, tyro.conf.OmitArgPrefixes] = MazeEvaluation()
+    preset: Preset = "default"
+
+
 def maze(config: Annotated[DemoMaze, tyro.conf.arg(name="")]) -> None:
     """Reach goal images in the maze, with subgoals and without; write pictures and a table.
 
     Searches for subgoal images between the start image and the goal image of each episode, plans
     to each in turn, and acts.
+    """
+
+    def task(agent: AgentName) -> EpisodeTask[Any]:
+        return dataclasses.replace(config.evaluation, agent=agent).task()
+
+    show(task, config.evaluation.agent, config, f"{config.episodes} episodes of the maze")
+
+
+def show(
+    make: Callable[[AgentName], EpisodeTask[Any]], agent: AgentName, config: Shown, title: str
+) -> None:
+    """Run the same episodes with an agent and without subgoals; write pictures and a table.
+
+    Args:
+        make: the task of an agent.
+        agent: the one whose episodes are drawn.
+        config: how many, and where.
+        title: of the table.
     """
     from hvf.evaluation.evaluate import Report, provenance, records, save, table
     from hvf.evaluation.pictures import save_film, save_strip
@@ -55,31 +86,30 @@ def maze(config: Annotated[DemoMaze, tyro.conf.arg(name="")]) -> None:
     console = Console()
     reports: list[Report] = []
     pictures: list[Path] = []
-    agents: tuple[AgentName, ...] = (config.evaluation.agent, "none")
+    agents: tuple[AgentName, ...] = (agent, "none")
     steps = len(agents) * config.episodes + config.pictures
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         bar = progress.add_task("acting", total=steps)
-        for agent in agents:
-            evaluation = dataclasses.replace(config.evaluation, agent=agent)
-            task = evaluation.task()
+        for name in agents:
+            task = make(name)
             done, seconds = [], 0.0
             for index in range(config.episodes):
                 outcome, (episode,) = record(task, index, 1)
                 done += records(outcome, index)
                 seconds += outcome.search_seconds + outcome.acting_seconds
                 progress.advance(bar)
-                if agent == agents[0] and len(pictures) < config.pictures:
+                if name == agent and len(pictures) < config.pictures:
                     progress.update(bar, description="drawing")
                     stem = config.out / f"episode-{index}"
-                    name = f"{task.name}, episode {index}"
-                    save_strip(episode, stem.with_suffix(".png"), name)
-                    save_film(episode, stem.with_suffix(".gif"), name)
+                    caption = f"{task.name}, episode {index}"
+                    save_strip(episode, stem.with_suffix(".png"), caption)
+                    save_film(episode, stem.with_suffix(".gif"), caption)
                     pictures.append(stem)
                     progress.update(bar, description="acting", advance=1)
             report = Report(task.name, task.config, tuple(done), seconds, provenance())
-            save(report, config.out / f"{agent}.json")
+            save(report, config.out / f"{name}.json")
             reports.append(report)
-    console.print(table(reports, f"{config.episodes} episodes of the maze"))
+    console.print(table(reports, title))
     for stem in pictures:
         console.print(f"{stem}.png (start, subgoals, goal, path) and {stem}.gif", highlight=False)
     console.print(f"{config.out}/*.json: every trial, all settings and versions", highlight=False)

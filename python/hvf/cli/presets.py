@@ -6,6 +6,7 @@ shows what holds and any single setting can be overridden.
 
 from __future__ import annotations
 
+import dataclasses
 import typing
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,14 +16,17 @@ def begin_with_preset(command: Callable[..., Any], words: Sequence[str]) -> Call
     """The command with the preset named in ``words`` as the default of its config.
 
     Args:
-        command: takes one config dataclass, which has ``preset`` and ``evaluation``.
+        command: takes one config dataclass, which has ``preset`` and ``evaluation``; its class may
+            have ``begins_with``, settings of the evaluation that are this command's own.
         words: the command line after the command's name.
     """
     annotation = typing.get_type_hints(command, include_extras=True)["config"]
     config_type = typing.get_args(annotation)[0]
     hints = typing.get_type_hints(config_type)
     name = _preset(words, typing.get_args(hints["preset"]))
-    default = config_type(evaluation=hints["evaluation"].of(name), preset=name)
+    own = getattr(config_type, "begins_with", {})
+    evaluation = dataclasses.replace(hints["evaluation"].of(name), **own)
+    default = config_type(evaluation=evaluation, preset=name)
 
     def prepared(config: Any = default) -> Any:
         return command(config)
