@@ -68,6 +68,17 @@ impl GaussianBlur {
         self.weights.len() / 2
     }
 
+    /// Weights of the pixels up to [`radius`](Self::radius) to either side.
+    pub(crate) fn weights(&self) -> &[f32] {
+        &self.weights
+    }
+
+    /// Where pixel `index` of `n` pixels in a row, continued by [`radius`](Self::radius) pixels to
+    /// either side, comes from.
+    pub(crate) fn continued(&self, index: usize, n: usize) -> usize {
+        reflect(index as i64 - self.radius() as i64, n)
+    }
+
     /// The blur of `n` pixels in a row as a matrix `[n, n]`, row-major: `out = matrix * in`.
     pub fn matrix(&self, n: usize) -> Vec<f64> {
         let weights = kernel(self.sigma);

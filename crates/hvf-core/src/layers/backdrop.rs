@@ -9,8 +9,11 @@ use std::collections::HashMap;
 use ndarray::ArrayView5;
 
 use super::cell::SLIDERS;
-use super::tiles::{Tiles, BLOCK};
+use super::tiles::Tiles;
 use crate::{Error, Result};
+
+/// Values that are summed at once; they fill six vector registers.
+const BLOCK: usize = 48;
 
 /// Images over the coordinates of the sliders.
 #[derive(Clone, Debug)]

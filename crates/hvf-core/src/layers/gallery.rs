@@ -5,11 +5,13 @@
 
 use ndarray::{ArrayView2, ArrayView4};
 
-use super::tiles::{Tiles, BLOCK};
+use super::tiles::Tiles;
 use crate::{Error, Result};
 
 /// Dimensions of the hand's code.
 pub const DIMENSIONS: usize = 3;
+/// Values that are summed at once; they fill four vector registers.
+const BLOCK: usize = 32;
 /// Places of the grid around a code.
 const AROUND: usize = 8;
 
@@ -169,13 +171,13 @@ impl Gallery {
         arm: &mut [f32],
         out: &mut [f32],
     ) {
-        let (count, blocks) = (self.tiles.count(), self.tiles.plane() / BLOCK);
+        let (count, blocks) = (self.tiles.count(), 4 * self.tiles.plane() / BLOCK);
         let mut patches: [(&[[u8; BLOCK]], f32); AROUND] = [(&[], 0.0); AROUND];
         let mut seen = 0;
         for &(place, share) in around {
             let number = self.index[place * count + tile] as usize;
             if number != 0 && share != 0.0 {
-                patches[seen] = (&self.patches[number * 4 * blocks..][..4 * blocks], share);
+                patches[seen] = (&self.patches[number * blocks..][..blocks], share);
                 seen += 1;
             }
         }

@@ -1,15 +1,29 @@
 //! How far a drawn frame is from each of some goals.
 //!
 //! A frame differs from the start frame in some tiles, and so does its distance to a goal: the
-//! distance of the still frame is known, and what changes is added. Blurred, the same holds for
-//! images: a blur is linear, so the change is blurred and the rest is known.
+//! distance of the still frame is known, and what changes is added. With a blur `G`, which is linear
+//! and symmetric, `e` the still frame less the goal and `d` the change of the frame,
+//! `|G (e + d)|^2 = |G e|^2 + 2 (G G e) d + |G d|^2`: the first is a number of the goal, the second
+//! an image of the goal, and the third does not depend on the goal.
 
 use multiversion::multiversion;
+use rayon::prelude::*;
 
 use super::frames::LayerFrames;
 use super::painter::{Canvas, Scene};
-use super::tiles::{Tiles, BLOCK};
-use crate::image::{squared_norm_f32, BlurScratch, GaussianBlur};
+use super::smoother::{Scratch, Smoother};
+use super::tiles::Tiles;
+use crate::image::{squared_norm_f32, GaussianBlur};
+
+/// Values that are summed at once.
+const BLOCK: usize = 16;
+
+/// A blur in both of its forms: of whole images, and of what changes in them.
+#[derive(Clone, Debug)]
+pub struct Blur {
+    whole: GaussianBlur,
+    changes: Smoother,
+}
 
 /// Goals that frames of one scene are compared with.
 #[derive(Debug)]
@@ -21,8 +35,7 @@ pub struct Goals<'a> {
 #[derive(Debug)]
 enum Kind<'a> {
     Plain(Vec<Plain<'a>>),
-    /// The blurred still frame less each blurred goal, in planes.
-    Blurred(&'a GaussianBlur, Vec<Vec<f32>>),
+    Blurred(&'a Blur, Vec<Blurred>),
 }
 
 #[derive(Debug)]
@@ -35,13 +48,30 @@ struct Plain<'a> {
     whole: f64,
 }
 
+#[derive(Debug)]
+struct Blurred {
+    /// Squared distance of the still frame.
+    whole: f64,
+    /// What a change costs, to first order; in tiles.
+    slope: Vec<f32>,
+}
+
 /// Room for comparing a frame.
 #[derive(Debug)]
-pub struct Comparison {
-    /// The change of a frame, in planes, and what is compared.
+pub struct Comparison(Option<Room>);
+
+#[derive(Debug)]
+struct Room {
+    /// The change of a frame, in tiles.
     change: Vec<f32>,
-    apart: Vec<f32>,
-    blur: Option<BlurScratch>,
+    scratch: Scratch,
+}
+
+impl Blur {
+    /// `blur`, of images cut into `tiles`.
+    pub fn new(blur: GaussianBlur, tiles: Tiles) -> Self {
+        Self { changes: Smoother::new(&blur, tiles), whole: blur }
+    }
 }
 
 impl<'a> Goals<'a> {
@@ -49,48 +79,34 @@ impl<'a> Goals<'a> {
     pub fn new(
         scene: &Scene<'_>,
         frames: &'a LayerFrames,
-        which: impl Iterator<Item = usize>,
+        which: std::ops::Range<usize>,
         tiles: Tiles,
-        blur: Option<&'a GaussianBlur>,
+        blur: Option<&'a Blur>,
     ) -> Self {
+        let which = which.into_par_iter();
         let kind = match blur {
             None => Kind::Plain(
                 which.map(|i| Plain::new(scene.still(), frames.tiles(i), tiles.values())).collect(),
             ),
-            Some(blur) => {
-                let apart = |i: usize| {
-                    let apart: Vec<f32> = scene
-                        .still()
-                        .iter()
-                        .zip(frames.tiles(i))
-                        .map(|(still, goal)| still - f32::from(*goal))
-                        .collect();
-                    let mut planes = vec![0.0; apart.len()];
-                    for (tile, values) in apart.chunks_exact(tiles.values()).enumerate() {
-                        tiles.place_planes(tile, values, &mut planes);
-                    }
-                    blur_planes(blur, &mut planes, tiles, &mut scratch(blur, tiles));
-                    planes
-                };
-                Kind::Blurred(blur, which.map(apart).collect())
-            }
+            Some(blur) => Kind::Blurred(
+                blur,
+                which
+                    .map(|i| Blurred::new(scene.still(), frames.tiles(i), &blur.whole, tiles))
+                    .collect(),
+            ),
         };
         Self { tiles, kind }
     }
 
     /// Room for comparing a frame.
     pub fn comparison(&self) -> Comparison {
-        match self.kind {
-            Kind::Plain(_) => Comparison { change: vec![], apart: vec![], blur: None },
-            Kind::Blurred(blur, _) => {
-                let length = self.tiles.count() * self.tiles.values();
-                Comparison {
-                    change: vec![0.0; length],
-                    apart: vec![0.0; length],
-                    blur: Some(scratch(blur, self.tiles)),
-                }
-            }
-        }
+        Comparison(match self.kind {
+            Kind::Plain(_) => None,
+            Kind::Blurred(blur, _) => Some(Room {
+                change: vec![0.0; self.tiles.count() * self.tiles.values()],
+                scratch: blur.changes.scratch(),
+            }),
+        })
     }
 
     /// Shows `visit(goal, cost)` how far what is on the canvas is from each goal, per pixel.
@@ -104,34 +120,51 @@ impl<'a> Goals<'a> {
         let pixels = self.tiles.count() * self.tiles.plane();
         let scale = 1.0 / (255.0 * 255.0 * pixels as f64);
         let mut visit = |goal: usize, sum: f64| visit(goal, (sum.max(0.0) * scale) as f32);
-        match &self.kind {
-            Kind::Plain(goals) => {
+        match (&self.kind, &mut room.0) {
+            (Kind::Blurred(blur, goals), Some(Room { change, scratch })) => {
+                let values = self.tiles.values();
+                blur.changes.begin(scratch);
+                for ((tile, drawn), change) in
+                    canvas.drawn(self.tiles).zip(change.chunks_exact_mut(values))
+                {
+                    let still = &scene.still()[tile * values..][..values];
+                    for ((change, drawn), still) in change.iter_mut().zip(drawn).zip(still) {
+                        *change = drawn - still;
+                    }
+                    blur.changes.change(tile, change, scratch);
+                }
+                let squares = blur.changes.squared_norm(scratch);
+                for (number, goal) in goals.iter().enumerate() {
+                    let linear = first_order(goal, canvas, change, self.tiles);
+                    visit(number, goal.whole + linear + squares);
+                }
+            }
+            (Kind::Plain(goals), _) => {
                 for (number, goal) in goals.iter().enumerate() {
                     visit(number, goal.whole + changes(goal, canvas, self.tiles));
                 }
             }
-            Kind::Blurred(blur, goals) => {
-                let values = self.tiles.values();
-                let Comparison { change, apart, blur: scratch } = room;
-                let Some(scratch) = scratch else { return };
-                change.fill(0.0);
-                for (tile, drawn) in canvas.drawn(self.tiles) {
-                    let still = &scene.still()[tile * values..][..values];
-                    let apart = &mut apart[..values];
-                    for ((apart, drawn), still) in apart.iter_mut().zip(drawn).zip(still) {
-                        *apart = drawn - still;
-                    }
-                    self.tiles.place_planes(tile, apart, change);
-                }
-                blur_planes(blur, change, self.tiles, scratch);
-                for (number, goal) in goals.iter().enumerate() {
-                    for ((apart, change), goal) in apart.iter_mut().zip(&*change).zip(goal) {
-                        *apart = change + goal;
-                    }
-                    visit(number, squared_norm_f32(apart));
-                }
-            }
+            (Kind::Blurred(..), None) => unreachable!("room for blurs is made by `comparison`"),
         }
+    }
+}
+
+impl Blurred {
+    fn new(still: &[f32], bytes: &[u8], blur: &GaussianBlur, tiles: Tiles) -> Self {
+        let (size, values) = (tiles.image_size(), tiles.values());
+        let apart: Vec<f32> =
+            still.iter().zip(bytes).map(|(still, goal)| still - f32::from(*goal)).collect();
+        let mut image = vec![0.0; apart.len()];
+        for (tile, values) in apart.chunks_exact(values).enumerate() {
+            tiles.place(tile, values, &mut image);
+        }
+        let mut scratch = blur.scratch(size, size, 3);
+        blur.apply(&mut image, size, size, 3, &mut scratch);
+        let whole = squared_norm_f32(&image);
+        blur.apply(&mut image, size, size, 3, &mut scratch);
+        let slope =
+            tiles.cut(|row, column, colour| 2.0 * image[(row * size + column) * 3 + colour]);
+        Self { whole, slope }
     }
 }
 
@@ -147,18 +180,6 @@ impl<'a> Plain<'a> {
     }
 }
 
-fn scratch(blur: &GaussianBlur, tiles: Tiles) -> BlurScratch {
-    blur.scratch(tiles.image_size(), tiles.image_size(), 1)
-}
-
-/// Blurs an image in planes, `[3][S, S]`.
-fn blur_planes(blur: &GaussianBlur, planes: &mut [f32], tiles: Tiles, scratch: &mut BlurScratch) {
-    let size = tiles.image_size();
-    for plane in planes.chunks_exact_mut(size * size) {
-        blur.apply(plane, size, size, 1, scratch);
-    }
-}
-
 /// By how much the squared distance of what is drawn differs from that of the still frame.
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn changes(goal: &Plain<'_>, canvas: &Canvas, tiles: Tiles) -> f64 {
@@ -170,6 +191,23 @@ fn changes(goal: &Plain<'_>, canvas: &Canvas, tiles: Tiles) -> f64 {
         add_squares(drawn, &goal.bytes[tile * values..][..values], &mut sums);
     }
     total(&sums) - known
+}
+
+/// What `change` of the tiles on the canvas costs, to first order.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn first_order(goal: &Blurred, canvas: &Canvas, change: &[f32], tiles: Tiles) -> f64 {
+    let values = tiles.values();
+    let mut sums = [0.0; BLOCK];
+    for ((tile, _), change) in canvas.drawn(tiles).zip(change.chunks_exact(values)) {
+        let slope = &goal.slope[tile * values..][..values];
+        let blocks = change.as_chunks::<BLOCK>().0.iter().zip(slope.as_chunks::<BLOCK>().0);
+        for (change, slope) in blocks {
+            for i in 0..BLOCK {
+                sums[i] = change[i].mul_add(slope[i], sums[i]);
+            }
+        }
+    }
+    sums.iter().map(|&sum| f64::from(sum)).sum()
 }
 
 #[multiversion(targets("x86_64+avx2+fma"))]

@@ -14,6 +14,7 @@ pub mod gallery;
 pub mod goals;
 pub mod network;
 pub mod painter;
+pub mod smoother;
 pub mod sprites;
 pub mod tiles;
 pub mod world;

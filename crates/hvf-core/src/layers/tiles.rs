@@ -2,9 +2,6 @@
 
 use crate::{Error, Result};
 
-/// Values of a tile that are worked on together; they fill two vector registers.
-pub const BLOCK: usize = 16;
-
 /// How images of `S` x `S` pixels are cut into tiles of `T` x `T`.
 ///
 /// An image in tiles is `[tiles][3][T * T]`, its colours one after the other.
@@ -20,7 +17,7 @@ impl Tiles {
     /// # Errors
     /// A tile that is not a multiple of 4 pixels or does not divide the image.
     pub fn new(size: usize, tile: usize) -> Result<Self> {
-        if tile == 0 || !(tile * tile).is_multiple_of(BLOCK) {
+        if tile == 0 || !tile.is_multiple_of(4) {
             return Err(Error::invalid(
                 "arm_patches",
                 format!("must be a multiple of 4 pixels wide, got {tile}"),
@@ -106,17 +103,6 @@ impl Tiles {
                 for (value, to) in row.iter().zip(image[first..].iter_mut().step_by(3)) {
                     *to = *value;
                 }
-            }
-        }
-    }
-
-    /// Puts a tile `[3][T * T]` at its place in an image in planes, `[3][S, S]`.
-    pub fn place_planes(&self, tile: usize, values: &[f32], image: &mut [f32]) {
-        let [top, left] = self.corner(tile);
-        for (colour, plane) in values.chunks_exact(self.plane()).enumerate() {
-            for (y, row) in plane.chunks_exact(self.tile).enumerate() {
-                let first = (colour * self.size + top + y) * self.size + left;
-                image[first..first + self.tile].copy_from_slice(row);
             }
         }
     }

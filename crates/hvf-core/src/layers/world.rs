@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::cell::{Cell, Moving, Scratch};
 use super::frames::LayerFrames;
 use super::gallery::DIMENSIONS;
-use super::goals::{Comparison, Goals};
+use super::goals::{Blur, Comparison, Goals};
 use super::painter::{Canvas, Painter, Scene};
 use crate::image::{GaussianBlur, OverHorizon};
 use crate::lanes::{Lanes, LANES};
@@ -38,7 +38,7 @@ pub struct LayerWorld {
     cell: Cell,
     painter: Arc<Painter>,
     actions: ActionSpace,
-    blur: Option<GaussianBlur>,
+    blur: Option<Blur>,
     over_horizon: OverHorizon,
 }
 
@@ -76,7 +76,8 @@ impl LayerWorld {
         }
         let limit = vec![1.0; cell.action_dim()];
         let actions = ActionSpace::new(limit.iter().map(|x| -x).collect(), limit)?;
-        let blur = GaussianBlur::new(blur_sigma, "blur")?;
+        let tiles = painter.tiles();
+        let blur = GaussianBlur::new(blur_sigma, "blur")?.map(|blur| Blur::new(blur, tiles));
         Ok(Self { cell, painter: Arc::new(painter), actions, blur, over_horizon })
     }
 
