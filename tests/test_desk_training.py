@@ -250,6 +250,7 @@ def write_blank(path: Path, size: int, steps: int, actions: int) -> Path:
     [
         (16, 12, 3, r"frames are \(16, 16\), the model takes \(32, 32\)"),
         (32, 12, 2, "actions have 2 dimensions, the model's 3"),
+        (32, 2, 3, "length must be from 1 to 2 for .*blank.h5, got 3"),
         (32, 12, 3, "too few coloured pixels change"),
     ],
 )
@@ -260,6 +261,12 @@ def test_data_that_does_not_fit_is_one_clear_error(
     with pytest.raises(ValueError, match=message):
         train(path, tmp_path / "out")
     assert not (tmp_path / "out" / "model.safetensors").exists()
+
+
+def test_episodes_too_short_to_tell_what_slides_are_an_error(tmp_path: Path) -> None:
+    toy.write(tmp_path / "short.h5", 0, 60, 6)
+    with pytest.raises(ValueError, match="frames: to find what slides, 2 of an episode are needed"):
+        train(tmp_path / "short.h5", tmp_path / "out")
 
 
 @pytest.mark.parametrize(
