@@ -171,6 +171,11 @@ def _train_perception(
     config: DeskDynamicsTraining, held_out: EpisodePool, run: dict[str, Any], console: Console
 ) -> DeskPerception:
     seed, size = config.loop.seed, config.model.perception.image_size
+    if config.length > held_out.metadata.steps:
+        raise ValueError(
+            f"length must be from 1 to {held_out.metadata.steps} for {config.data}, "
+            f"got {config.length}"
+        )
     pool = EpisodePool(config.data, environment="desk", memory_gb=config.memory_gb, seed=seed)
     if pool.frames.shape[2:4] != (size, size):
         raise ValueError(

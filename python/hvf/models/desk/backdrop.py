@@ -85,8 +85,10 @@ class Backdrop(nn.Module):
             colours: the parts.
 
         Raises:
-            ValueError: fewer fixtures than sliders move.
+            ValueError: fewer fixtures than sliders move, or episodes of a single frame.
         """
+        if observed.shape[1] < 2:
+            raise ValueError("frames: to find what slides, 2 of an episode are needed, got 1")
         found = []
         for part in (~colours.roams).nonzero()[:, 0].tolist():
             seen = observed[:, :, part].double()
