@@ -26,10 +26,15 @@ def dynamics() -> DeskDynamics:
     return random_dynamics()
 
 
+def random_images(count: int, seed: int) -> NDArray[np.uint8]:
+    rng = np.random.default_rng([seed, 1])
+    return rng.integers(0, 256, (count, SIZE, SIZE, 3), dtype=np.uint8)
+
+
 def frames_of(world: DeskLearnedWorld, count: int, seed: int) -> hvf_core.LayerFrames:
     """Frames that hold anything at all."""
     rng = np.random.default_rng(seed)
-    images = rng.integers(0, 256, (count, SIZE, SIZE, 3), dtype=np.uint8)
+    images = random_images(count, seed)
     clean = rng.random((count, SIZE, SIZE, 3), dtype=np.float32)
     regions = rng.random((count, PARTS, SIZE, SIZE)) < 0.1
     return world.native.frames(images, clean, regions, random_states(count, seed))
@@ -211,17 +216,22 @@ def test_observed_frames_are_what_perception_sees(dynamics: DeskDynamics) -> Non
     np.testing.assert_allclose(world.native.draw(frames, frames.states), still, atol=2e-3)
 
 
-def test_imagined_frames_look_as_their_states_are_drawn(dynamics: DeskDynamics) -> None:
+def test_a_changed_scene_looks_as_its_states_are_drawn(dynamics: DeskDynamics) -> None:
     world = DeskLearnedWorld(dynamics)
+    scene = world.observe(random_images(1, seed=15))
     states = random_states(5, seed=16)
-    frames = world.imagine(states)
+    frames = world.changed(scene, states)
     np.testing.assert_array_equal(frames.states, states)
-    drawn = world.native.draw(frames, states)
-    np.testing.assert_allclose(frames.images, 255 * drawn, atol=0.51)
+    from_scene = world.native.draw(scene[np.zeros(5, np.int64)], states)
+    np.testing.assert_allclose(frames.images, 255 * from_scene, atol=0.51)
+    as_they_are = world.native.draw(frames, states)
+    np.testing.assert_allclose(frames.images, 255 * as_they_are, atol=0.51)
     with pytest.raises(ValueError, match=r"states: expected shape \[N, 14\]"):
-        world.imagine(states[:, :5])
+        world.changed(scene, states[:, :5])
     with pytest.raises(ValueError, match="states: must be finite"):
-        world.imagine(np.full_like(states, np.nan))
+        world.changed(scene, np.full_like(states, np.nan))
+    with pytest.raises(ValueError, match="scene: expected one frame, got 5"):
+        world.changed(frames, states)
 
 
 def test_the_planner_searches_subgoals_the_same_with_and_without_savings(
@@ -232,13 +242,15 @@ def test_the_planner_searches_subgoals_the_same_with_and_without_savings(
     class Anything:
         latent_dim = 2
 
-        def decode(self, scene: object, latents: NDArray[np.float32]) -> hvf_core.LayerFrames:
+        def decode(
+            self, scene: hvf_core.LayerFrames, latents: NDArray[np.float32]
+        ) -> hvf_core.LayerFrames:
             flat = latents.reshape(-1, 2)
             states = np.repeat(random_states(1, seed=17), len(flat), axis=0)
             states[:, :2] += flat
-            return world.imagine(states)
+            return world.changed(scene, states)
 
-    start, goal = (world.imagine(random_states(1, seed=seed)) for seed in (18, 19))
+    start, goal = (world.observe(random_images(1, seed=seed)) for seed in (18, 19))
     mpc = hvf_core.VisualMPC(horizon=4, samples=20, elites=4, iterations=2, action_repeat=2)
     found = [
         hvf_core.HVF(

@@ -206,7 +206,7 @@ class DeskPerception(nn.Module):
         rows, columns = self._stamps(shown)
         drawn = torch.einsum("nryi,rij,nrxj->nryx", rows, self.sprites[:, 0], columns)
         regions = torch.where(moved, drawn * shown[..., 2, None, None] > _DRAWN, scenes.regions)
-        return Scene(self.paste(image, shown).clamp(0, 1), regions, states)
+        return Scene(self.paste(image, shown), regions, states)
 
     def draw(self, scenes: Scene, states: Tensor) -> Tensor:
         """Frames `[N, 3, S, S]` in [0, 1] of what `scenes` look like at `states [N, X]`."""
