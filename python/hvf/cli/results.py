@@ -142,7 +142,8 @@ def _place(path: Path, report: Report, layout: Layout) -> tuple[Row, str]:
     try:
         config = report.config
         agent, subgoals, column = config["agent"], config["subgoals"], config[layout.key]
-        settings = _settings(config["planning"], config["seed"], layout.evaluation)
+        searches = agent == "hvf"
+        settings = _settings(config["planning"], config["seed"], layout.evaluation, searches)
         generator = config.get("generator", "default")
         drawn_by = "" if generator == "default" else f" ({generator})"
         world = config["model"] + (drawn_by if agent == "hvf" else "")
@@ -155,13 +156,22 @@ def _place(path: Path, report: Report, layout: Layout) -> tuple[Row, str]:
     return Row(settings, world, agent, 0 if agent in ("none", "random") else subgoals), column
 
 
-def _settings(planning: Mapping[str, Any], seed: int, evaluation: type[Evaluation]) -> str:
-    """The nearest preset, and in what the settings differ from it."""
+def _settings(
+    planning: Mapping[str, Any], seed: int, evaluation: type[Evaluation], searches: bool
+) -> str:
+    """The nearest preset, and in what the settings differ from it.
+
+    How subgoals are searched for is no setting of an agent that does not search.
+    """
     found = dataclasses.asdict(type(evaluation.presets["default"])(**planning))
     differences: dict[str, dict[str, Any]] = {}
     for preset, settings in evaluation.presets.items():
         named = dataclasses.asdict(settings)
-        differences[preset] = {name: found[name] for name in found if found[name] != named[name]}
+        differences[preset] = {
+            name: value
+            for name, value in found.items()
+            if value != named[name] and (searches or not name.startswith("subgoal_"))
+        }
     nearest = min(differences, key=lambda preset: len(differences[preset]))
     words = [nearest, *(f"{name} {value}" for name, value in differences[nearest].items())]
     return ", ".join(words if seed == TEST_SEED else [*words, f"seed {seed}"])
