@@ -411,6 +411,21 @@ def test_commands_measure_tell_and_draw(tmp_path: Path, capsys: pytest.CaptureFi
     assert len(iio.imread(tmp_path / "episode-1.gif", index=None)) >= 4
 
 
+def test_the_demo_searches_and_acts_with_the_shipped_models(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("torch")
+    small = "--samples=8 --elites=2 --iterations=1 --subgoal-samples=4 --subgoal-elites=2 --steps=4"
+    words = ["demo", "desk", "--episodes=1", "--pictures=1", f"--out={tmp_path}", "--workers=1"]
+    assert main([*words, *small.split()]) == 0
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"episode-0.png", "episode-0.gif", "hvf.json", "none.json"}
+    assert "HVF-1" in capsys.readouterr().out
+    searched, straight = (load(tmp_path / f"{name}.json") for name in ("hvf", "none"))
+    assert searched.config["task"] == straight.config["task"] == "door"
+    assert searched.config["sha256"].keys() == {"dynamics", "desk_generator"}
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

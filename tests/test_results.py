@@ -64,6 +64,17 @@ def test_rows_hold_the_agents_and_columns_the_difficulties(
     assert lines[len(expected) :] == ["", "Code: 0123456789."]
 
 
+def test_how_subgoals_are_searched_for_is_no_setting_of_an_agent_that_does_not_search(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    of = MazeEvaluation.of
+    write(tmp_path / "a.json", 1, 2, of(agent="none", subgoal_samples=7, subgoal_elites=3))
+    write(tmp_path / "b.json", 1, 2, of(agent="hvf", subgoal_samples=7, subgoal_elites=3))
+    assert main(["results", "maze", str(tmp_path)]) == 0
+    rows = [cells(line)[0] for line in capsys.readouterr().out.splitlines()[2:4]]
+    assert rows == ["default", "default, subgoal_samples 7, subgoal_elites 3"]
+
+
 def test_says_when_weights_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for difficulty in ("easy", "hard"):
         evaluation = MazeEvaluation.of(difficulty=difficulty)
