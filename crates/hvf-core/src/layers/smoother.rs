@@ -1,15 +1,15 @@
 //! The squared length of a blurred change, where most of the image has not changed.
 //!
 //! The blur is [`GaussianBlur`]'s, a sum over columns and then over rows. Rows of tiles that have not
-//! changed are zero: the first sum skips them, and the second leaves them out.
+//! changed are zero: the first sum skips them, and the second those before and after all others.
 
 use multiversion::multiversion;
 
 use super::tiles::Tiles;
 use crate::image::GaussianBlur;
 
-/// Pixels of a row that are summed at once.
-const BLOCK: usize = 32;
+/// Pixels of a row that are summed at once; they fill eight vector registers.
+const BLOCK: usize = 64;
 
 /// A blur of images in tiles.
 #[derive(Clone, Debug)]
@@ -17,25 +17,25 @@ pub struct Smoother {
     tiles: Tiles,
     /// Weights of pixels up to `radius` to either side.
     weights: Vec<f32>,
-    /// For each row, the rows that it is a sum of, and their weights.
-    sums: Vec<Vec<(usize, f32)>>,
-    /// For each pixel of a row with `radius` pixels around it, where it comes from.
-    continued: Vec<usize>,
-    /// Length of a row in memory.
+    /// For each row, the first of the rows that it is a sum of, and the weights of these.
+    sums: Vec<(usize, Vec<f32>)>,
+    /// Pixels beyond the border of a row, and the pixels inside that they are like; both count from
+    /// `radius` pixels before the row.
+    beyond: Vec<(usize, usize)>,
+    /// Length of a row of sums, and of a row of change with what is beyond it.
     stride: usize,
+    long: usize,
 }
 
 /// Room for one image.
 #[derive(Clone, Debug)]
 pub struct Scratch {
-    /// Whether a row of tiles has changed.
+    /// Whether a row has changed.
     changed: Vec<bool>,
-    /// `[3][S][stride]`: what has changed, and what it is after the sum over columns.
+    /// What has changed, `[3][S][long]`.
     change: Vec<f32>,
+    /// What one colour of it is after the sum over columns, `[S][stride]`.
     smooth: Vec<f32>,
-    row: Vec<f32>,
-    /// The rows that a row is a sum of, as far as they have changed.
-    terms: Vec<(usize, f32)>,
 }
 
 impl Smoother {
@@ -44,32 +44,31 @@ impl Smoother {
         let size = tiles.image_size();
         let matrix = blur.matrix(size);
         let terms = |row: &[f64]| {
-            row.iter()
-                .enumerate()
-                .filter(|(_, &weight)| weight != 0.0)
-                .map(|(from, &weight)| (from, weight as f32))
-                .collect()
+            let first = row.iter().position(|&weight| weight != 0.0).unwrap_or(0);
+            let last = row.iter().rposition(|&weight| weight != 0.0).unwrap_or(0);
+            (first, row[first..=last].iter().map(|&weight| weight as f32).collect())
         };
         let radius = blur.radius();
         Self {
             tiles,
             weights: blur.weights().to_vec(),
             sums: matrix.chunks_exact(size).map(terms).collect(),
-            continued: (0..size + 2 * radius).map(|x| blur.continued(x, size)).collect(),
+            beyond: (0..radius)
+                .chain(radius + size..2 * radius + size)
+                .map(|x| (x, radius + blur.continued(x, size)))
+                .collect(),
             stride: size.next_multiple_of(BLOCK),
+            long: size.next_multiple_of(BLOCK) + 2 * radius,
         }
     }
 
     /// Room for one image.
     pub fn scratch(&self) -> Scratch {
-        let length = 3 * self.tiles.image_size() * self.stride;
+        let size = self.tiles.image_size();
         Scratch {
-            changed: vec![false; self.tiles.image_size() / self.tiles.tile_size()],
-            change: vec![0.0; length],
-            smooth: vec![0.0; length],
-            // Blocks read beyond the end.
-            row: vec![0.0; self.stride + self.weights.len()],
-            terms: Vec::new(),
+            changed: vec![false; size],
+            change: vec![0.0; 3 * size * self.long],
+            smooth: vec![0.0; size * self.stride],
         }
     }
 
@@ -80,19 +79,19 @@ impl Smoother {
 
     /// Notes the change of a tile, `[3][T * T]`.
     pub fn change(&self, tile: usize, values: &[f32], scratch: &mut Scratch) {
-        let (size, width, stride) = (self.tiles.image_size(), self.tiles.tile_size(), self.stride);
+        let (size, width, long) = (self.tiles.image_size(), self.tiles.tile_size(), self.long);
         let [top, left] = self.tiles.corner(tile);
-        let changed = &mut scratch.changed[top / width];
+        let left = left + self.weights.len() / 2;
         for (colour, plane) in values.chunks_exact(self.tiles.plane()).enumerate() {
-            let rows = &mut scratch.change[(colour * size + top) * stride..][..width * stride];
-            if !*changed {
+            let rows = &mut scratch.change[(colour * size + top) * long..][..width * long];
+            if !scratch.changed[top] {
                 rows.fill(0.0);
             }
-            for (row, values) in rows.chunks_exact_mut(stride).zip(plane.chunks_exact(width)) {
+            for (row, values) in rows.chunks_exact_mut(long).zip(plane.chunks_exact(width)) {
                 row[left..left + width].copy_from_slice(values);
             }
         }
-        *changed = true;
+        scratch.changed[top..top + width].fill(true);
     }
 
     /// The sum of squares of the blurred change.
@@ -103,20 +102,25 @@ impl Smoother {
 
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn squared_norm(smoother: &Smoother, scratch: &mut Scratch) -> f64 {
-    let Smoother { tiles, weights, sums, continued, stride } = smoother;
-    let (size, width) = (tiles.image_size(), tiles.tile_size());
-    let Scratch { changed, change, smooth, row, terms } = scratch;
+    let Smoother { tiles, weights, sums, beyond, stride, long } = smoother;
+    let size = tiles.image_size();
+    let Scratch { changed, change, smooth } = scratch;
+    let Some(begin) = changed.iter().position(|&changed| changed) else { return 0.0 };
+    let end = changed.iter().rposition(|&changed| changed).map_or(0, |last| last + 1);
+    let mut squares = [0.0; BLOCK];
     for colour in 0..3 {
-        for y in (0..size).filter(|y| changed[y / width]) {
-            let first = (colour * size + y) * stride;
-            for (value, &from) in row.iter_mut().zip(continued) {
-                *value = change[first + from];
+        for (y, out) in smooth.chunks_exact_mut(*stride).enumerate().take(end).skip(begin) {
+            if !changed[y] {
+                out.fill(0.0);
+                continue;
             }
-            let out = &mut smooth[first..first + stride];
+            let row = &mut change[(colour * size + y) * long..][..*long];
+            for &(to, from) in beyond {
+                row[to] = row[from];
+            }
             for (block, out) in out.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
                 let mut sum = [0.0; BLOCK];
-                for (tap, weight) in weights.iter().enumerate() {
-                    let from = &row[block * BLOCK + tap..][..BLOCK];
+                for (from, weight) in row[block * BLOCK..].windows(BLOCK).zip(weights) {
                     for i in 0..BLOCK {
                         sum[i] = weight.mul_add(from[i], sum[i]);
                     }
@@ -125,21 +129,20 @@ fn squared_norm(smoother: &Smoother, scratch: &mut Scratch) -> f64 {
             }
             out[size..].fill(0.0);
         }
-    }
-    let mut squares = [0.0; BLOCK];
-    for all in sums {
-        terms.clear();
-        terms.extend(all.iter().filter(|(from, _)| changed[from / width]));
-        if terms.is_empty() {
-            continue;
-        }
-        for colour in 0..3 {
+        for (first, weights) in sums {
+            // The rows that both are terms of the sum and may have changed.
+            let (from, to) = (begin.max(*first), end.min(first + weights.len()));
+            if from >= to {
+                continue;
+            }
+            let weights = &weights[from - first..to - first];
+            let rows = &smooth[from * stride..to * stride];
             for block in 0..stride / BLOCK {
                 let mut sum = [0.0; BLOCK];
-                for (from, weight) in &*terms {
-                    let from = &smooth[(colour * size + from) * stride + block * BLOCK..][..BLOCK];
+                for (row, weight) in rows.chunks_exact(*stride).zip(weights) {
+                    let row = &row[block * BLOCK..][..BLOCK];
                     for i in 0..BLOCK {
-                        sum[i] = weight.mul_add(from[i], sum[i]);
+                        sum[i] = weight.mul_add(row[i], sum[i]);
                     }
                 }
                 for i in 0..BLOCK {
