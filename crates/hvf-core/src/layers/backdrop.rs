@@ -171,3 +171,81 @@ impl Backdrop {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use proptest::prelude::*;
+
+    use super::super::toys::{table, BINS, SIZE};
+    use super::*;
+
+    fn drawn(backdrop: &Backdrop, corners: &Corners) -> Vec<f32> {
+        let tiles = backdrop.tiles();
+        let mut image = vec![0.0; tiles.count() * tiles.values()];
+        for (tile, out) in image.chunks_exact_mut(tiles.values()).enumerate() {
+            backdrop.draw(corners, tile, out);
+        }
+        image
+    }
+
+    proptest! {
+        #[test]
+        fn images_are_interpolated_in_the_table(
+            seed in 0_u64..100,
+            sliders in prop::array::uniform2(-0.2_f32..1.2),
+        ) {
+            let tiles = Tiles::new(SIZE, 8).unwrap();
+            let table = table(seed);
+            let backdrop = Backdrop::new(table.view(), tiles).unwrap();
+            let found = drawn(&backdrop, &backdrop.corners(&sliders));
+            let place = [0, 1].map(|i| sliders[i].clamp(0.0, 1.0) * (BINS[i] - 1) as f32);
+            let expected = tiles.cut(|row, column, colour| {
+                let mut sum = 0.0;
+                for i in 0..BINS[0] {
+                    for j in 0..BINS[1] {
+                        let near = (1.0 - (place[0] - i as f32).abs()).max(0.0)
+                            * (1.0 - (place[1] - j as f32).abs()).max(0.0);
+                        sum += near * f32::from(table[[i, j, colour, row, column]]);
+                    }
+                }
+                sum
+            });
+            for (found, expected) in found.iter().zip(&expected) {
+                prop_assert!((found - expected).abs() < 1e-3, "{found}, not {expected}");
+            }
+        }
+
+        #[test]
+        fn tiles_said_not_to_change_do_not(
+            seed in 0_u64..100,
+            before in prop::array::uniform2(0.0_f32..=1.0),
+            after in prop::array::uniform2(-0.5_f32..1.5),
+        ) {
+            let tiles = Tiles::new(SIZE, 4).unwrap();
+            let backdrop = Backdrop::new(table(seed).view(), tiles).unwrap();
+            let (before, after) = (backdrop.corners(&before), backdrop.corners(&after));
+            let mut changed = vec![false; tiles.count()];
+            backdrop.compare(&before, &after, &mut changed);
+            // The right half is always the same.
+            prop_assert!(changed.iter().any(|&changed| !changed));
+            let (a, b) = (drawn(&backdrop, &before), drawn(&backdrop, &after));
+            let pairs = a.chunks_exact(tiles.values()).zip(b.chunks_exact(tiles.values()));
+            for ((a, b), changed) in pairs.zip(changed) {
+                for (a, b) in a.iter().zip(b) {
+                    prop_assert!(changed || (a - b).abs() < 1e-4, "{a} became {b}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_slider_at_a_place_of_the_table_has_one_image() {
+        let tiles = Tiles::new(SIZE, 8).unwrap();
+        let backdrop = Backdrop::new(table(1).view(), tiles).unwrap();
+        for sliders in [[0.0, 0.0], [1.0, 1.0], [-3.0, 0.5], [0.0, 7.0]] {
+            assert_eq!(backdrop.corners(&sliders).all().len(), 1, "{sliders:?}");
+        }
+        assert_eq!(backdrop.corners(&[0.1, 0.1]).all().len(), 4);
+    }
+}

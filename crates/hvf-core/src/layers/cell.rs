@@ -309,3 +309,80 @@ fn push(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::super::toys::{cell, state, Draws, SIZE};
+    use super::*;
+
+    /// States of each candidate after each step, `[steps][candidates][X]`.
+    fn paths(cell: &Cell, state: &[f32], actions: &[Vec<[f32; 3]>]) -> Vec<Vec<Vec<f32>>> {
+        let blocks = actions.len().div_ceil(LANES);
+        let (mut moving, mut scratch) = (cell.start(state, blocks), cell.scratch(blocks));
+        (0..actions[0].len())
+            .map(|step| {
+                let mut lanes = vec![vec![[0.0; LANES]; 3]; blocks];
+                for (candidate, actions) in actions.iter().enumerate() {
+                    for axis in 0..3 {
+                        lanes[candidate / LANES][axis][candidate % LANES] = actions[step][axis];
+                    }
+                }
+                cell.advance(&mut moving, &lanes, &mut scratch);
+                let of = |candidate: usize| {
+                    let block = &moving.states[candidate / LANES];
+                    block.iter().map(|lanes| lanes[candidate % LANES]).collect()
+                };
+                (0..actions.len()).map(of).collect()
+            })
+            .collect()
+    }
+
+    fn actions(draws: &mut Draws, candidates: usize, steps: usize) -> Vec<Vec<[f32; 3]>> {
+        let mut one = || (0..steps).map(|_| [0; 3].map(|_| draws.between(-1.0, 1.0))).collect();
+        (0..candidates).map(|_| one()).collect()
+    }
+
+    #[test]
+    fn a_candidate_moves_the_same_alone_and_among_others() {
+        let cell = cell(1);
+        let mut draws = Draws::new(2);
+        let mut start = state(&mut draws);
+        // The hand meets parts near the middle.
+        start[5..7].fill(0.5 * SIZE as f32 + 1.0);
+        let actions = actions(&mut draws, 45, 6);
+        let together = paths(&cell, &start, &actions);
+        let last = together.last().unwrap();
+        assert!([0, 1, 2, 5, 6].iter().all(|&x| last.iter().any(|state| state[x] != start[x])));
+        for candidate in [0, 17, 44] {
+            let alone = paths(&cell, &start, &actions[candidate..=candidate]);
+            for (alone, together) in alone.iter().zip(&together) {
+                assert_eq!(alone[0], together[candidate]);
+            }
+        }
+    }
+
+    #[test]
+    fn parts_out_of_reach_stay_where_they_are() {
+        let cell = cell(1);
+        let mut draws = Draws::new(3);
+        let mut start = state(&mut draws);
+        start[5..7].fill(10.0 * SIZE as f32);
+        for states in paths(&cell, &start, &actions(&mut draws, 20, 8)) {
+            assert!(states.iter().all(|state| state[5..8] == start[5..8]));
+        }
+    }
+
+    #[test]
+    fn what_is_near_is_near_the_whole_way() {
+        let lanes = |x: f32| [x; LANES];
+        let squared = |from: [f32; 2], to: [f32; 2], at: [f32; 2]| {
+            let places = [from[0], from[1], to[0], to[1]].map(lanes);
+            distance(&places, &at.map(lanes))[7]
+        };
+        assert_eq!(squared([0.0, 0.0], [0.0, 10.0], [3.0, 5.0]), 9.0);
+        assert_eq!(squared([0.0, 0.0], [0.0, 10.0], [3.0, 14.0]), 25.0);
+        assert_eq!(squared([0.0, 0.0], [0.0, 10.0], [0.0, -2.0]), 4.0);
+        assert_eq!(squared([1.0, 1.0], [1.0, 1.0], [1.0, 4.0]), 9.0);
+    }
+}

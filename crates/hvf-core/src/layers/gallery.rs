@@ -212,3 +212,79 @@ fn blend(patches: &[(&[[u8; BLOCK]], f32)], block: usize) -> [f32; BLOCK] {
     }
     sums
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use proptest::prelude::*;
+
+    use super::super::toys::{gallery, gallery_images, PLACES, SIZE};
+
+    const TILE: usize = 8;
+
+    proptest! {
+        #[test]
+        fn the_arm_is_interpolated_in_the_grid(
+            seed in 0_u64..100,
+            code in prop::array::uniform3(-3.0_f32..4.0),
+            at_a_place in any::<bool>(),
+        ) {
+            let gallery = gallery(seed, TILE);
+            let (patches, index) = gallery_images(seed, TILE);
+            let code = if at_a_place {
+                [0, 1, 2].map(|i| gallery.low[i] + gallery.step[i] * code[i].round())
+            } else {
+                code
+            };
+            let around = gallery.around(code);
+            let mut occupied = vec![0; 1];
+            gallery.occupied(&around, &mut occupied);
+            let place = [0, 1, 2].map(|i| {
+                ((code[i] - gallery.low[i]) / gallery.step[i]).clamp(0.0, (PLACES[i] - 1) as f32)
+            });
+            for tile in 0..gallery.tiles().count() {
+                let mut drawn = [[0.0; TILE * TILE]; 4];
+                for (number, patch) in index.column(tile).iter().enumerate() {
+                    let grid = [
+                        number / (PLACES[1] * PLACES[2]),
+                        number / PLACES[2] % PLACES[1],
+                        number % PLACES[2],
+                    ];
+                    let near: f32 = (0..3)
+                        .map(|axis| (1.0 - (place[axis] - grid[axis] as f32).abs()).max(0.0))
+                        .product();
+                    for (i, drawn) in drawn.as_flattened_mut().iter_mut().enumerate() {
+                        let (channel, pixel) = (i / (TILE * TILE), i % (TILE * TILE));
+                        let at = [*patch as usize, channel, pixel / TILE, pixel % TILE];
+                        *drawn += near * f32::from(patches[at]);
+                    }
+                }
+                if occupied[0] >> tile & 1 == 0 {
+                    prop_assert!(drawn.as_flattened().iter().all(|&x| x < 1e-3));
+                }
+                let behind = vec![100.0; 3 * TILE * TILE];
+                let (mut arm, mut out) = (vec![0.0; 4 * TILE * TILE], behind.clone());
+                gallery.draw(&around, tile, &behind, &mut arm, &mut out);
+                for (i, found) in out.iter().enumerate() {
+                    let (colour, pixel) = (i / (TILE * TILE), i % (TILE * TILE));
+                    let through = 1.0 - drawn[0][pixel] / 255.0;
+                    let expected = (100.0 * through + drawn[1 + colour][pixel]).clamp(0.0, 255.0);
+                    prop_assert!((found - expected).abs() < 1e-2, "{found}, not {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn tiles_are_found_again_in_images_of_more_than_64() {
+        let gallery = gallery(1, 4);
+        let (_, index) = gallery_images(1, 4);
+        assert_eq!(gallery.tiles().count(), (SIZE / 4).pow(2));
+        let around = gallery.around(gallery.low);
+        let mut occupied = vec![0; gallery.tiles().words()];
+        gallery.occupied(&around, &mut occupied);
+        for (tile, &number) in index.row(0).iter().enumerate() {
+            assert_eq!(occupied[tile / 64] >> (tile % 64) & 1 == 1, number != 0);
+        }
+    }
+}

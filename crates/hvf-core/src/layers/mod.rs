@@ -27,3 +27,6 @@ pub use network::Linear;
 pub use painter::Painter;
 pub use sprites::Sprites;
 pub use world::LayerWorld;
+
+#[cfg(test)]
+mod toys;

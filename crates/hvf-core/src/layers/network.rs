@@ -82,3 +82,53 @@ impl Network {
         before
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::super::toys::{layers, views, Draws};
+    use super::*;
+    use crate::lanes::LANES;
+
+    #[test]
+    fn a_network_is_its_layers_one_after_the_other() {
+        let mut draws = Draws::new(1);
+        let made = layers(&mut draws, &[5, 7, 6, 3]);
+        let network = Network::new("hand", &views(&made), 5, 3).unwrap();
+        let inputs: Vec<Lanes> =
+            (0..5).map(|_| std::array::from_fn(|_| draws.between(-2.0, 2.0))).collect();
+        let mut room = network.room();
+        let found = network.apply(&inputs, &mut room);
+        assert_eq!(found.len(), 3);
+        for lane in 0..LANES {
+            let mut x: ndarray::Array1<f32> = inputs.iter().map(|input| input[lane]).collect();
+            for (number, (weights, bias)) in made.iter().enumerate() {
+                x = weights.dot(&x) + bias;
+                if number < 2 {
+                    x.mapv_inplace(|x| x.max(0.0));
+                }
+            }
+            for (found, expected) in found.iter().zip(&x) {
+                assert!((found[lane] - expected).abs() < 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn layers_that_do_not_fit_are_refused() {
+        let mut draws = Draws::new(1);
+        let mut made = layers(&mut draws, &[5, 7, 3]);
+        let refused = |layers: &[Linear<'_>], inputs, outputs| {
+            let said = Network::new("hand", layers, inputs, outputs).unwrap_err().to_string();
+            assert!(said.starts_with("hand: "), "{said}");
+        };
+        refused(&views(&made), 4, 3);
+        refused(&views(&made), 5, 2);
+        refused(&views(&made)[1..], 5, 3);
+        refused(&[], 5, 3);
+        made[0].1 = ndarray::Array1::zeros(6);
+        refused(&views(&made), 5, 3);
+        made[0].1 = ndarray::Array1::from_elem(7, f32::NAN);
+        refused(&views(&made), 5, 3);
+    }
+}

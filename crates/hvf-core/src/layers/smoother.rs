@@ -153,3 +153,44 @@ fn squared_norm(smoother: &Smoother, scratch: &mut Scratch) -> f64 {
     }
     squares.iter().map(|&x| f64::from(x)).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use proptest::prelude::*;
+
+    use super::super::toys::{Draws, SIZE};
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn the_length_is_that_of_the_whole_image_blurred(
+            seed in 0_u64..1000,
+            sigma in prop::sample::select(vec![0.3, 1.0, 2.5, 9.0]),
+            tile in prop::sample::select(vec![4_usize, 8]),
+            which in prop::collection::vec(any::<prop::sample::Index>(), 0..9),
+        ) {
+            let tiles = Tiles::new(SIZE, tile).unwrap();
+            let blur = GaussianBlur::new(sigma, "blur").unwrap().unwrap();
+            let smoother = Smoother::new(&blur, tiles);
+            let mut scratch = smoother.scratch();
+            let mut draws = Draws::new(seed);
+            // Once before, so that what is left of it would show.
+            for round in 0..2 {
+                smoother.begin(&mut scratch);
+                let mut image = vec![0.0; SIZE * SIZE * 3];
+                for at in &which[which.len() / 2 * round..] {
+                    let values: Vec<f32> =
+                        (0..tiles.values()).map(|_| draws.between(-255.0, 255.0)).collect();
+                    let number = at.index(tiles.count());
+                    smoother.change(number, &values, &mut scratch);
+                    tiles.place(number, &values, &mut image);
+                }
+                blur.apply(&mut image, SIZE, SIZE, 3, &mut blur.scratch(SIZE, SIZE, 3));
+                let expected: f64 = image.iter().map(|&x| f64::from(x).powi(2)).sum();
+                let found = smoother.squared_norm(&mut scratch);
+                prop_assert!((found - expected).abs() <= 1e-5 * expected, "{found}, {expected}");
+            }
+        }
+    }
+}

@@ -148,3 +148,73 @@ impl Stamp {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use proptest::prelude::*;
+
+    use super::super::toys::{sprite_images, Draws, SIZE, SPRITE};
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn pasted_sprites_are_read_bilinearly(
+            seed in 0_u64..100,
+            at in prop::array::uniform2(-12.0_f32..36.0),
+            whole in any::<bool>(),
+            presence in 0.0_f32..=1.0,
+        ) {
+            let at = if whole { at.map(f32::round) } else { at };
+            let images = sprite_images(seed);
+            let sprites = Sprites::new(images.view()).unwrap();
+            let tiles = Tiles::new(SIZE, 8).unwrap();
+            let mut draws = Draws::new(seed);
+            let before = tiles.cut(|_, _, _| 255.0 * draws.unit());
+            let mut after = before.clone();
+            let mut stamp = sprites.stamp(tiles);
+            // What was in the stamp before does not matter.
+            sprites.read(0, [5.3, 2.1], 1.0, &mut stamp);
+            sprites.read(1, at, presence, &mut stamp);
+            for (tile, image) in after.chunks_exact_mut(tiles.values()).enumerate() {
+                let untouched = image.to_vec();
+                stamp.paste(tiles, tile, image);
+                prop_assert!(stamp.touches(tiles, tile) || image == untouched);
+            }
+            let share = |pixel: usize, axis: usize, i: usize| {
+                let place = at[axis] + i as f32 - (SPRITE / 2) as f32;
+                (1.0 - (pixel as f32 - place).abs()).max(0.0)
+            };
+            let read = |channel: usize, row: usize, column: usize| {
+                let mut sum = 0.0;
+                for i in 0..SPRITE {
+                    for j in 0..SPRITE {
+                        sum += share(row, 0, i) * share(column, 1, j) * images[[1, channel, i, j]];
+                    }
+                }
+                presence * sum
+            };
+            let mut values = before.iter();
+            let expected = tiles.cut(|row, column, colour| {
+                let behind = values.next().unwrap();
+                behind * (1.0 - read(0, row, column)) + 255.0 * read(1 + colour, row, column)
+            });
+            for (found, expected) in after.iter().zip(&expected) {
+                prop_assert!((found - expected).abs() < 1e-2, "{found}, not {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_part_however_far_away_touches_nothing() {
+        let tiles = Tiles::new(SIZE, 8).unwrap();
+        let sprites = Sprites::new(sprite_images(1).view()).unwrap();
+        let mut stamp = sprites.stamp(tiles);
+        for far in [-20.0, 50.0, 1e12, -1e30, f32::INFINITY] {
+            for at in [[far, 8.0], [8.0, far]] {
+                sprites.read(0, at, 1.0, &mut stamp);
+                assert!((0..tiles.count()).all(|tile| !stamp.touches(tiles, tile)), "{at:?}");
+            }
+        }
+    }
+}

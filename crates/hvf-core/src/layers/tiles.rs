@@ -69,7 +69,7 @@ impl Tiles {
     }
 
     /// One number per pixel, `at(row, column)`, in tiles: `[tiles][T * T]`.
-    pub fn cut_plane<T>(&self, at: impl Fn(usize, usize) -> T) -> Vec<T> {
+    pub fn cut_plane<T>(&self, mut at: impl FnMut(usize, usize) -> T) -> Vec<T> {
         let mut tiles = Vec::with_capacity(self.size * self.size);
         for tile in 0..self.count() {
             let [top, left] = self.corner(tile);
@@ -81,7 +81,7 @@ impl Tiles {
     }
 
     /// An image `at(row, column, colour)` in tiles.
-    pub fn cut<T>(&self, at: impl Fn(usize, usize, usize) -> T) -> Vec<T> {
+    pub fn cut<T>(&self, mut at: impl FnMut(usize, usize, usize) -> T) -> Vec<T> {
         let mut tiles = Vec::with_capacity(self.size * self.size * 3);
         for tile in 0..self.count() {
             let [top, left] = self.corner(tile);
@@ -104,6 +104,35 @@ impl Tiles {
                     *to = *value;
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn what_is_cut_and_put_back_is_the_image() {
+        let tiles = Tiles::new(24, 8).unwrap();
+        let image: Vec<usize> = (0..24 * 24 * 3).collect();
+        let cut = tiles.cut(|row, column, colour| image[(row * 24 + column) * 3 + colour]);
+        let mut back = vec![0; image.len()];
+        for (tile, values) in cut.chunks_exact(tiles.values()).enumerate() {
+            tiles.place(tile, values, &mut back);
+        }
+        assert_eq!(back, image);
+        let plane = tiles.cut_plane(|row, column| (row, column));
+        assert_eq!(plane[4 * tiles.plane()], (8, 8));
+        assert_eq!(tiles.corner(4), [8, 8]);
+        assert_eq!((tiles.count(), tiles.words()), (9, 1));
+    }
+
+    #[test]
+    fn tiles_that_do_not_fit_are_refused() {
+        for (size, tile) in [(24, 0), (24, 6), (24, 16), (0, 8), (20, 8)] {
+            assert!(Tiles::new(size, tile).is_err(), "{tile} in {size}");
         }
     }
 }

@@ -381,3 +381,7 @@ impl WorldModel for LayerWorld {
         Some(self.shared_costs(start, goals, actions.view()))
     }
 }
+
+#[cfg(test)]
+#[path = "world_tests.rs"]
+mod tests;
