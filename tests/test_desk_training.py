@@ -139,6 +139,13 @@ def test_another_run_is_not_gone_on_with(data: Path, whole: Path) -> None:
             train(data, whole, **settings)
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+def test_training_runs_on_cuda(data: Path, tmp_path: Path) -> None:
+    loop = dataclasses.replace(SHORT, device="cuda")
+    train(data, tmp_path, arm_loop=loop, loop=loop)
+    load_model(tmp_path / "model.safetensors", DeskDynamics, environment="desk")
+
+
 # ---- what is learned ---------------------------------------------------------------------------
 
 

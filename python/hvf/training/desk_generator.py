@@ -186,7 +186,7 @@ def validate_desk_generator(
         latents = torch.randn(
             (len(states), model.config.latent_dim), generator=generator, device=generator.device
         )
-        drawn = model.decode(latents, states)
+        drawn = model.decode(latents, states.to(latents.device)).cpu()
         _, sliders, parts = perception.split(drawn)
         _, sliders_before, before = perception.split(states)
         moved.append((parts != before).any(dim=2).any(dim=1).float().mean())

@@ -289,17 +289,24 @@ class DeskPerception(nn.Module):
         return self
 
     def fit_gallery(self, frames: Tensor) -> DeskPerception:
-        """Take images of the arm from uint8 `frames [N, S, S, 3]`, once its encoder is trained."""
+        """Take images of the arm, once its encoder is trained, from uint8 `frames [N, S, S, 3]`.
+
+        Frames are in the CPU's memory, wherever the model is.
+        """
         hand = slice(0, self.config.arm.action_dim)
         each = max(1, len(frames) // _CODES)
+        device = self.sprites.device
 
         def seen() -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
             for some in torch.split(frames, _IMAGES_AT_ONCE):
-                found = self.perceive(some)
+                found = self.perceive(some.to(device))
                 hidden = found.regions.any(dim=1)
-                yield found.states[:, hand], found.opacity, to_unit(some), hidden
+                yield found.states[:, hand].cpu(), found.opacity.cpu(), to_unit(some), hidden.cpu()
 
-        self.gallery.fit_grid(self.observe(frames[::each])[:, hand]).fit(seen())
+        # Sums of all its images take more memory than a GPU may have.
+        gallery = self.gallery.cpu()
+        gallery.fit_grid(self.observe(frames[::each].to(device))[:, hand].cpu()).fit(seen())
+        gallery.to(device)
         return self
 
     def loss(
