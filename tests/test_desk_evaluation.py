@@ -411,6 +411,23 @@ def test_commands_measure_tell_and_draw(tmp_path: Path, capsys: pytest.CaptureFi
     assert len(iio.imread(tmp_path / "episode-1.gif", index=None)) >= 4
 
 
+def test_the_demo_tells_of_every_episode_and_draws_some(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    demo = ["demo", "desk", "--episodes=2", "--pictures=1", f"--out={tmp_path}", *WORDS]
+    assert main([*demo, "--agent=ground-truth"]) == 0
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"episode-0.png", "episode-0.gif", "ground-truth.json", "none.json"}
+    said = " ".join(capsys.readouterr().out.split())
+    for agent in ("ground truth-1", "no subgoals"):
+        for episode in range(2):
+            assert f"desk door: {agent}, simulator, episode {episode}: goal " in said
+    for name in ("ground-truth", "none"):
+        assert [trial.index for trial in load(tmp_path / f"{name}.json").trials] == [0, 1]
+    assert main([*demo, "--agent=none"]) == 0
+    assert capsys.readouterr().out.count("episode 0: goal") == 1
+
+
 def test_the_demo_searches_and_acts_with_the_shipped_models(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -430,6 +447,9 @@ def test_the_demo_searches_and_acts_with_the_shipped_models(
     ("words", "said"),
     [
         (["eval", "desk", "--agent", "none", "--dynamics", "no/such.safetensors"], "hvf eval desk"),
+        (["demo", "desk", "--dynamics", "no/such.safetensors"], "`hvf train desk-dynamics`"),
+        (["demo", "desk", "--desk-generator", "no/such"], "`hvf train desk-generator`"),
+        (["demo", "desk", "--episodes", "0"], "episodes: must be at least 1"),
         (["results", "desk", "no/such"], "folder: "),
     ],
 )

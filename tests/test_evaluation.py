@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rich.progress import Progress
 
 import hvf_core
 from hvf.cli import main
+from hvf.cli.plan import how_it_went, watch
 from hvf.evaluation import Acting, Decision, MazeEvaluation, MazePlanning, Outcome, Trial, act
 from hvf.evaluation.acting import derived_seed
 from hvf.evaluation.agents import NoSubgoals, PlanningAgent, Replanning
@@ -425,6 +427,17 @@ def test_plan_and_demo_commands_draw(tmp_path: Path, capsys: pytest.CaptureFixtu
     names = {p.name for p in (tmp_path / "demo").iterdir()}
     assert names == {"episode-0.png", "episode-0.gif", "hvf.json", "none.json"}
     assert "HVF-2" in capsys.readouterr().out
+
+
+def test_a_watched_episode_takes_its_share_of_the_bar() -> None:
+    evaluation = MazeEvaluation.of(agent="none", model="simulator", samples=10, elites=3, steps=7)
+    with Progress(disable=True) as progress:
+        bar = progress.add_task("", total=21)
+        outcomes = [watch(evaluation.task(), index, progress, bar)[0] for index in (0, 1)]
+        assert progress.tasks[bar].completed == 14
+    assert all(1 <= outcome.trials[0].steps <= 7 for outcome in outcomes)
+    said = how_it_went("two", outcomes[0])
+    assert f"after {outcomes[0].trials[0].steps} steps" in said
 
 
 @pytest.mark.parametrize(

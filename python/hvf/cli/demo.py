@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
+from hvf.cli.plan import how_it_went, watch
 from hvf.cli.presets import begin_with_preset as prepare
 from hvf.evaluation.maze import MazeEvaluation, Preset
 from hvf.evaluation.task import AgentName
@@ -81,31 +82,30 @@ def show(
     """
     from hvf.evaluation.evaluate import Report, provenance, records, save, table
     from hvf.evaluation.pictures import save_film, save_strip
-    from hvf.evaluation.recording import record
 
     console = Console()
     reports: list[Report] = []
     pictures: list[Path] = []
-    agents: tuple[AgentName, ...] = (agent, "none")
-    steps = len(agents) * config.episodes + config.pictures
+    agents: tuple[AgentName, ...] = ("none",) if agent == "none" else (agent, "none")
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("acting", total=steps)
+        bar = progress.add_task("loading", total=None)
         for name in agents:
             task = make(name)
+            steps = len(agents) * config.episodes * task.evaluation.acting.steps
+            progress.update(bar, total=steps)
             done, seconds = [], 0.0
             for index in range(config.episodes):
-                outcome, (episode,) = record(task, index, 1)
+                outcome, episode = watch(task, index, progress, bar)
                 done += records(outcome, index)
                 seconds += outcome.search_seconds + outcome.acting_seconds
-                progress.advance(bar)
+                caption = f"{task.name}, episode {index}"
+                console.print(how_it_went(caption, outcome), highlight=False)
                 if name == agent and len(pictures) < config.pictures:
                     progress.update(bar, description="drawing")
                     stem = config.out / f"episode-{index}"
-                    caption = f"{task.name}, episode {index}"
                     save_strip(episode, stem.with_suffix(".png"), caption)
                     save_film(episode, stem.with_suffix(".gif"), caption)
                     pictures.append(stem)
-                    progress.update(bar, description="acting", advance=1)
             report = Report(task.name, task.config, tuple(done), seconds, provenance())
             save(report, config.out / f"{name}.json")
             reports.append(report)

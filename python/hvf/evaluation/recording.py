@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -69,15 +70,27 @@ class Episode:
 
 
 def record(
-    task: EpisodeTask[DrawableTrials], first: int, count: int
+    task: EpisodeTask[DrawableTrials],
+    first: int,
+    count: int,
+    after_step: Callable[[int, Indices], None] | None = None,
 ) -> tuple[Outcome, list[Episode]]:
-    """Run episodes ``first..first + count`` and keep what they saw."""
+    """Run episodes ``first..first + count`` and keep what they saw.
+
+    Args:
+        task: what to run.
+        first: number of the first episode.
+        count: how many.
+        after_step: as of :func:`~hvf.evaluation.acting.act`.
+    """
     trials = task.trials(first, count)
     states = [[state] for state in trials.states.copy()]
 
     def keep(step: int, which: Indices) -> None:
         for trial in which:
             states[trial].append(trials.states[trial].copy())
+        if after_step is not None:
+            after_step(step, which)
 
     outcome = act(trials, task.agent, task.evaluation.acting, task.seeds(first, count), keep)
     episodes = []

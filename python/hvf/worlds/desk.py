@@ -87,6 +87,9 @@ def load_desk(
     from hvf.worlds.learned import ImageSubgoals
 
     paths = config.checkpoints
+    if not paths["dynamics"].exists():
+        path = paths["dynamics"]
+        raise FileNotFoundError(f"{path}: no such dynamics; `hvf train desk-dynamics` makes it")
     model = load_model(paths["dynamics"], DeskDynamics, environment="desk")
     world = DeskLearnedWorld(model, config.blur, config.over_horizon)
     if "vae" in paths:
