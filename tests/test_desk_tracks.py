@@ -47,7 +47,7 @@ def slow_track(places: Floats, mass: Floats) -> list[tuple[int, Floats | None]]:
     seen = []
     for t in range(count):
         around = mass[max(0, t - 10) : t + 11]
-        seen.append(mass[t] > 0.25 and mass[t] > np.float32(0.85) * around.max())
+        seen.append(mass[t] > 0.25 and mass[t] > np.float32(0.65) * around.max())
     found: list[tuple[int, Floats | None]] = []
     for t in range(count):
         before = [i for i in range(t + 1) if seen[i]]

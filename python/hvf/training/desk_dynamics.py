@@ -75,7 +75,7 @@ class DeskDynamicsTraining:
     Attributes:
         data: file of episodes (``hvf collect desk``).
         out: directory of the run; a run that is already there is continued.
-        episodes: episodes that the cell learns from.
+        episodes: episodes that the cell learns from, at most.
         memory_gb: memory for decoded frames while perception is trained.
         arm_batch: pairs of frames per step while the arm is trained.
         windows: stretches of states per step while the cell is trained.
@@ -88,7 +88,7 @@ class DeskDynamicsTraining:
 
     data: Path
     out: Path = Path("runs/desk_dynamics")
-    episodes: int = 4000
+    episodes: int = 9500
     memory_gb: float = 2.0
     arm_batch: int = 48
     windows: int = 128

@@ -22,7 +22,7 @@ from hvf.models.desk.perception import DeskPerception
 
 # The middle of a part can be trusted when so much is seen of it, set against the most that is seen
 # of it within so many frames: parts far away are small.
-_TRUSTED, _NEIGHBOURS = 0.85, 21
+_TRUSTED, _NEIGHBOURS = 0.65, 21
 # Less than this is nothing.
 _SEEN = 0.25
 # Pixels between two places that are the same, and frames after which a part is gone.

@@ -33,8 +33,8 @@ class CellConfig:
         reach: pixels from the hand's way beyond which a part does not move.
     """
 
-    hand_hidden: int = 32
-    part_hidden: int = 64
+    hand_hidden: int = 64
+    part_hidden: int = 128
     memory: int = 4
     reach: float = 9.0
 
