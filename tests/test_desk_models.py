@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from hvf.data.store import EpisodeFile, Episodes, Metadata, write_episodes
 
 torch = pytest.importorskip("torch")
 
-from hvf.evaluation.desk_models import psnr, ssim  # noqa: E402
+from hvf.evaluation.image_quality import perceptual_distance, psnr, ssim  # noqa: E402
 from hvf.models.cvae import CVAEConfig  # noqa: E402
 from hvf.training.loop import LoopConfig  # noqa: E402
 from hvf.training.subgoals import DeskSubgoalTraining, train_subgoals  # noqa: E402
@@ -82,3 +83,27 @@ def test_image_measures_agree_with_their_definitions() -> None:
                 value = (2 * mx * my + 1e-4) * (2 * both + 9e-4)
                 expected.append(value / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4)))
     assert ssim(guess, truth)[1, 0] == pytest.approx(np.mean(expected), rel=1e-9)
+
+
+def test_the_learned_measure_is_the_packages_own_on_colours_from_minus_one_to_one() -> None:
+    stlpips = pytest.importorskip("stlpips_pytorch.stlpips", reason="hvf[metrics] not installed")
+    rng = np.random.default_rng(5)
+    truth = rng.integers(0, 256, (33, 2, 64, 64, 3), dtype=np.uint8)
+    guess = (0.8 * truth + 20).astype(np.uint8)
+    found = perceptual_distance()(guess, truth)
+    assert found.shape == (33, 2)
+    assert (found > 0).all()
+    assert (perceptual_distance()(truth[:1], truth[:1]) == 0).all()
+    network = stlpips.LPIPS(net="alex", variant="shift_tolerant", verbose=False).eval()
+    pair = [torch.from_numpy(x[32, 1] / 127.5 - 1).float() for x in (guess, truth)]
+    with torch.no_grad():
+        expected = network(*(x.permute(2, 0, 1)[None] for x in pair)).item()
+    assert found[32, 1] == pytest.approx(expected, rel=1e-4)
+
+
+def test_without_its_package_the_learned_measure_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "stlpips_pytorch", None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'hvf\[metrics\]'"):
+        perceptual_distance()

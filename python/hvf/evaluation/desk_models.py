@@ -5,20 +5,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from hvf.atomic import write_bytes
 from hvf.data.store import EpisodeFile
+from hvf.evaluation.image_quality import Measure, perceptual_distance, psnr, ssim
 from hvf.models.checkpoint import load_model
 from hvf.models.desk.dynamics import DeskDynamics
 from hvf.models.desk.probe import DeskProbe, DeskProbeConfig
@@ -205,61 +207,30 @@ def read_all(probe: DeskProbe, frames: NDArray[np.uint8]) -> NDArray[np.float32]
 def image_figures(
     world: DeskLearnedWorld, frames: NDArray[np.uint8], actions: NDArray[np.float32]
 ) -> dict[str, list[float]]:
-    """Mean PSNR (dB) and SSIM of predicted frames for each step ahead, and of the start frame.
+    """Mean PSNR (dB), SSIM and ST-LPIPS of predicted frames and of the start frame, by steps ahead.
+
+    ST-LPIPS only where it is installed.
 
     Args:
         world: the model.
         frames: uint8 `[N, 16, S, S, 3]`.
         actions: float32 `[N, 15, 3]`.
     """
-    found: dict[str, list[NDArray[np.float64]]] = {
-        name: [] for name in ("psnr", "ssim", "psnr_still", "ssim_still")
-    }
+    measures: dict[str, Measure] = {"psnr": psnr, "ssim": ssim}
+    with contextlib.suppress(ModuleNotFoundError):
+        measures["st_lpips"] = perceptual_distance()
+    found: dict[str, list[NDArray[np.float64]]] = defaultdict(list)
     for i in range(0, len(frames), _AT_ONCE):
         part = frames[i : i + _AT_ONCE]
         drawn = world.predict(world.observe(part[:, 0]), actions[i : i + _AT_ONCE])
         still = np.broadcast_to(part[:, :1], drawn.shape)
-        for name, guess in (("", drawn), ("_still", still)):
-            found[f"psnr{name}"].append(psnr(guess, part[:, 1:]))
-            found[f"ssim{name}"].append(ssim(guess, part[:, 1:]))
+        for name, measure in measures.items():
+            found[name].append(measure(drawn, part[:, 1:]))
+            found[f"{name}_still"].append(measure(still, part[:, 1:]))
     return {
         name: np.concatenate(values).mean(axis=0).round(4).tolist()
         for name, values in found.items()
     }
-
-
-def psnr(guess: NDArray[np.uint8], truth: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Peak signal-to-noise ratio, dB, of images uint8 `[..., S, S, 3]`, at most 60."""
-    squared = ((guess.astype(np.float64) - truth) / 255) ** 2
-    result: NDArray[np.float64] = -10 * np.log10(squared.mean(axis=(-1, -2, -3)).clip(1e-6))
-    return result
-
-
-def ssim(guess: NDArray[np.uint8], truth: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Structural similarity of images uint8 `[..., S, S, 3]` (Wang et al., 2004): `[...]`.
-
-    Gaussian window of 11 pixels, standard deviation 1.5; colours one by one, mean over all.
-    """
-    line = torch.exp(-0.5 * (torch.arange(11, dtype=torch.float64) - 5).square() / 1.5**2)
-    line = line / line.sum()
-    shape = guess.shape[:-3]
-
-    def planes(images: NDArray[np.uint8]) -> torch.Tensor:
-        tensor = torch.from_numpy(np.ascontiguousarray(images)).double() / 255
-        return tensor.reshape(-1, *images.shape[-3:]).permute(0, 3, 1, 2).flatten(0, 1)[:, None]
-
-    def smooth(x: torch.Tensor) -> torch.Tensor:
-        return F.conv2d(F.conv2d(x, line[None, None, :, None]), line[None, None, None, :])
-
-    a, b = planes(guess), planes(truth)
-    mean_a, mean_b = smooth(a), smooth(b)
-    variance_a, variance_b = smooth(a * a) - mean_a**2, smooth(b * b) - mean_b**2
-    covariance = smooth(a * b) - mean_a * mean_b
-    c1, c2 = 0.01**2, 0.03**2
-    alike = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
-    alike = alike / ((mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2))
-    result: NDArray[np.float64] = alike.mean(dim=(1, 2, 3)).reshape(*shape, 3).mean(dim=-1).numpy()
-    return result
 
 
 def thing_figures(
@@ -312,6 +283,8 @@ def _report(console: Console, figures: Mapping[str, object]) -> None:
     for name, values in images.items():
         table.add_row(name, *(f"{values[h - 1]:.3f}" for h in STEPS_AHEAD))
     console.print(table)
+    if "st_lpips" not in images:
+        console.print("ST-LPIPS is not measured: pip install 'hvf[metrics]'", markup=False)
     things: dict[str, dict[str, dict[str, float]]] = figures["things"]  # type: ignore[assignment]
     columns = ("true", "predicted", "still", "moved", "moved_true", "moved_predicted")
     table = Table("thing", "steps", *columns, "moved_still", title="mm")
