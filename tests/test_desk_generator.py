@@ -31,6 +31,9 @@ from hvf.training.desk_generator import (
 )
 from hvf.training.desk_tracks import DeskTracks
 from hvf.training.loop import LoopConfig
+from hvf.worlds.desk_learned import DeskLearnedWorld
+from hvf.worlds.desk_subgoals import StateSubgoals
+from layered_desk import SIZE, random_dynamics
 
 EPISODES, STEPS = 40, 30
 SMALL = DeskGeneratorConfig(image_size=toy.SIZE, latent_dim=4, hidden=16)
@@ -329,3 +332,33 @@ def test_data_that_the_dynamics_does_not_fit_is_one_clear_error(
 def test_settings_out_of_range_are_named(settings: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DeskGeneratorConfig(**settings)  # type: ignore[arg-type]
+
+
+# ---- as the planner's subgoals -----------------------------------------------------------------
+
+
+def test_each_subgoal_of_a_sample_is_drawn_given_the_one_before_it() -> None:
+    world = DeskLearnedWorld(random_dynamics())
+    torch.manual_seed(3)
+    model = DeskGenerator(DeskGeneratorConfig(image_size=SIZE, latent_dim=4, hidden=16))
+    rng = np.random.default_rng(1)
+    scene = world.observe(rng.integers(0, 256, (1, SIZE, SIZE, 3), dtype=np.uint8))
+    latents = (3 * rng.standard_normal((5, 3, 4))).astype(np.float32)
+    drawn = StateSubgoals(model, world).decode(scene, latents)
+    assert len(drawn) == 15
+    for sample in range(5):
+        now = torch.from_numpy(scene.states)
+        for k in range(3):
+            with torch.no_grad():
+                now = model.decode(torch.from_numpy(latents[sample, k : k + 1]), now)
+            found = drawn.states[3 * sample + k]
+            np.testing.assert_allclose(found, now[0].numpy(), rtol=1e-5, atol=1e-5)
+            np.testing.assert_array_equal(
+                drawn.images[3 * sample + k], world.changed(scene, now.numpy()).images[0]
+            )
+
+
+def test_a_generator_of_other_states_than_the_worlds_is_refused() -> None:
+    world = DeskLearnedWorld(random_dynamics())
+    with pytest.raises(ValueError, match="generator: draws states of length 17, the world's: 14"):
+        StateSubgoals(DeskGenerator(DeskGeneratorConfig(roaming=4)), world)

@@ -33,6 +33,9 @@ Preset: TypeAlias = Literal["default", "paper", "simulator"]
 class DeskPlanning(Planning):
     """How agents plan and act at the desk; see :class:`~hvf.evaluation.planning.Planning`.
 
+    By default few elites are kept and compete again, and each search begins around the rest of the
+    last plan; the paper does neither. Pushing a cube takes a plan that few candidates come near.
+
     Attributes:
         initial_std: standard deviation of a normal first distribution, in units of the action;
             the paper's is 1, which for most actions means full speed.
@@ -45,7 +48,10 @@ class DeskPlanning(Planning):
         steps: steps of a trial (T); None for the task's own limit, 50 or 100.
     """
 
-    initial: Literal["uniform", "normal"] = "uniform"
+    elites: int = 10
+    keep_elites: int = 10
+    warm_start: bool = True
+    initial: Literal["uniform", "normal"] = "normal"
     initial_std: float = 1.0
     horizon: int = 15
     subgoal_samples: int = 20
@@ -95,7 +101,9 @@ class DeskEvaluation(Evaluation):
     presets: ClassVar[Mapping[str, Planning]] = {
         "default": DeskPlanning(),
         "paper": DeskPlanning(
-            initial="normal",
+            elites=40,
+            keep_elites=0,
+            warm_start=False,
             replan_every=1,
             subgoal_samples=200,
             subgoal_elites=40,
@@ -109,7 +117,7 @@ class DeskEvaluation(Evaluation):
             elites=8,
             iterations=4,
             keep_elites=2,
-            initial="normal",
+            warm_start=False,
             initial_std=0.75,
             horizon=3,
             replan_every=3,

@@ -38,10 +38,16 @@ class StateSubgoals:
     def decode(
         self, scene: hvf_core.LayerFrames, latents: NDArray[np.float32]
     ) -> hvf_core.LayerFrames:
-        """Frames `[M * K]` for `latents [M, K, L]` in the scene of `scene [1]`, sample-major."""
-        count = latents.shape[0] * latents.shape[1]
+        """Frames `[M * K]` for `latents [M, K, L]` in the scene of `scene [1]`, sample-major.
+
+        Each of the `K` subgoals of a sample is drawn given the one before it, the first given the
+        scene: the generator knows what a few seconds of play change, and `K` times that is more.
+        """
         with torch.inference_mode():
-            flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
-            start = torch.from_numpy(scene.states).expand(count, -1)
-            states = self.generator.decode(flat, start)
+            now = torch.from_numpy(scene.states).expand(len(latents), -1)
+            path = []
+            for drawn in torch.from_numpy(np.ascontiguousarray(latents)).unbind(dim=1):
+                now = self.generator.decode(drawn, now)
+                path.append(now)
+            states = torch.stack(path, dim=1).flatten(0, 1)
         return self.world.changed(scene, states.numpy())
