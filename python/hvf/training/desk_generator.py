@@ -44,7 +44,7 @@ class DeskGeneratorTraining:
     data: Path
     dynamics: Path = Path("runs/desk_dynamics/model.safetensors")
     out: Path = Path("runs/desk_generator")
-    episodes: int = 2000
+    episodes: int = 4000
     batch_size: int = 512
     model: DeskGeneratorConfig = DeskGeneratorConfig()
     loop: LoopConfig = LoopConfig(
