@@ -39,6 +39,7 @@ SEED = 5
 CHEAP = {
     "samples": 4,
     "elites": 2,
+    "keep_elites": 1,
     "iterations": 2,
     "horizon": 3,
     "replan_every": 2,
@@ -327,7 +328,8 @@ def test_settings_out_of_range_are_named(settings: dict[str, object], message: s
 def test_settings_are_the_papers_unless_said_otherwise() -> None:
     paper = DeskEvaluation.of("paper")
     mpc = paper.planning.mpc
-    assert (mpc.samples, mpc.elites, mpc.iterations) == (200, 40, 5)
+    assert (mpc.samples, mpc.elites, mpc.iterations, mpc.keep_elites) == (200, 40, 5, 0)
+    assert not paper.planning.warm_start
     assert (mpc.horizon, mpc.action_repeat, mpc.initial) == (15, 3, "normal")
     assert (paper.planning.blur, paper.planning.over_horizon) == (0.0, "last")
     assert paper.acting.steps_per_subgoal == 20
@@ -432,7 +434,8 @@ def test_the_demo_searches_and_acts_with_the_shipped_models(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("torch")
-    small = "--samples=8 --elites=2 --iterations=1 --subgoal-samples=4 --subgoal-elites=2 --steps=4"
+    small = "--samples=8 --elites=2 --keep-elites=1 --iterations=1 --steps=4"
+    small += " --subgoal-samples=4 --subgoal-elites=2"
     words = ["demo", "desk", "--episodes=1", "--pictures=1", f"--out={tmp_path}", "--workers=1"]
     assert main([*words, *small.split()]) == 0
     names = {path.name for path in tmp_path.iterdir()}
