@@ -11,6 +11,7 @@ import pytest
 from hvf.cli import main
 from hvf.evaluation import MazeEvaluation
 from hvf.evaluation.evaluate import Report, TrialRecord, save
+from hvf.evaluation.task import AgentName
 
 NO_WEIGHTS: dict[str, str] = {}
 
@@ -81,6 +82,17 @@ def test_says_when_weights_differ(tmp_path: Path, capsys: pytest.CaptureFixture[
         write(tmp_path / f"{difficulty}.json", 1, 2, evaluation, {"dynamics": difficulty})
     assert main(["results", "maze", str(tmp_path)]) == 0
     assert "Not all rows are of the same weights: dynamics differ." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("agent", "matters"), [("none", False), ("hvf", True)])
+def test_what_draws_subgoals_matters_only_to_an_agent_that_searches(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], agent: AgentName, matters: bool
+) -> None:
+    for difficulty in ("easy", "hard"):
+        evaluation = MazeEvaluation.of(difficulty=difficulty, agent=agent)
+        write(tmp_path / f"{difficulty}.json", 1, 2, evaluation, {"keypoint_generator": difficulty})
+    assert main(["results", "maze", str(tmp_path)]) == 0
+    assert ("keypoint_generator differ" in capsys.readouterr().out) == matters
 
 
 def test_refuses_two_results_for_one_cell(

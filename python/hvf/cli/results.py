@@ -15,6 +15,9 @@ from hvf.evaluation.task import AGENTS, TEST_SEED, AgentName, Evaluation, agent_
 
 Published: TypeAlias = Mapping[tuple[AgentName, int], Mapping[str, float]]
 
+# Weights that only draw subgoals.
+_DRAW_SUBGOALS = ("keypoint_generator", "desk_generator", "vae")
+
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
@@ -199,13 +202,19 @@ def _seconds(reports: Iterable[Report]) -> tuple[str, str]:
 
 
 def _notes(rows: Mapping[Row, Mapping[str, Report]]) -> list[str]:
-    """What a reader has to know about the rows: code that made them, weights that differ."""
+    """What a reader has to know about the rows: code that made them, weights that differ.
+
+    What draws subgoals does not matter to an agent that does not search.
+    """
     all_reports = [report for cells in rows.values() for report in cells.values()]
     commits = {str(report.provenance.get("commit")) for report in all_reports}
     short = sorted(" ".join([commit[:10], *commit.split()[1:]]) for commit in commits)
     weights: dict[str, set[str]] = {}
     for report in all_reports:
+        idle = () if report.config["agent"] == "hvf" else _DRAW_SUBGOALS
         for name, checksum in report.config.get("sha256", {}).items():
+            if name in idle:
+                continue
             weights.setdefault(name, set()).add(checksum)
     mixed = [name for name, sums in weights.items() if len(sums) > 1]
     notes = ["", f"Code: {', '.join(short)}."]
