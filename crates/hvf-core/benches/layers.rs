@@ -61,9 +61,9 @@ fn views(layers: &[(Array2<f32>, Array1<f32>)]) -> Vec<Linear<'_>> {
 }
 
 fn cell(draws: &mut Draws) -> Cell {
-    let hand = draws.layers(&[8, 32, 32, 3], 1.0);
-    let sliders = [draws.layers(&[11, 32, 32, 1], 0.3), draws.layers(&[11, 32, 32, 1], 0.3)];
-    let parts = draws.layers(&[16 + MEMORY, 64, 64, 3 + MEMORY], 0.3);
+    let hand = draws.layers(&[8, 64, 64, 3], 1.0);
+    let sliders = [draws.layers(&[11, 64, 64, 1], 0.3), draws.layers(&[11, 64, 64, 1], 0.3)];
+    let parts = draws.layers(&[16 + MEMORY, 128, 128, 3 + MEMORY], 0.3);
     // The hand is in the middle, and moves by seven pixels a full action.
     let contact = Array2::from_shape_fn((10, 2), |(term, axis)| match (term, axis) {
         (0, _) => 32.0,
