@@ -38,18 +38,28 @@ impl Packed {
     /// Adds weights times `inputs` to `out`.
     #[inline(always)]
     pub(crate) fn accumulate(&self, inputs: &[Lanes], out: &mut [Lanes]) {
-        for (out, weights) in out.chunks_exact_mut(OUTPUTS).zip(self.0.chunks_exact(inputs.len())) {
-            let mut sums: [Lanes; OUTPUTS] = std::array::from_fn(|q| out[q]);
-            for (input, weight) in inputs.iter().zip(weights) {
-                for q in 0..OUTPUTS {
-                    for lane in 0..LANES {
-                        sums[q][lane] = weight[q].mul_add(input[lane], sums[q][lane]);
-                    }
-                }
-            }
-            out.copy_from_slice(&sums);
+        let outs = out.as_chunks_mut::<OUTPUTS>().0;
+        for (out, weights) in outs.iter_mut().zip(self.0.chunks_exact(inputs.len())) {
+            *out = weighted_sums(*out, weights, inputs);
         }
     }
+}
+
+/// `sums` plus weights times `inputs`, for [`OUTPUTS`] outputs.
+#[inline(always)]
+fn weighted_sums(
+    mut sums: [Lanes; OUTPUTS],
+    weights: &[[f32; OUTPUTS]],
+    inputs: &[Lanes],
+) -> [Lanes; OUTPUTS] {
+    for (input, weight) in inputs.iter().zip(weights) {
+        for q in 0..OUTPUTS {
+            for lane in 0..LANES {
+                sums[q][lane] = weight[q].mul_add(input[lane], sums[q][lane]);
+            }
+        }
+    }
+    sums
 }
 
 /// A linear layer, its bias padded with zeros to a multiple of [`OUTPUTS`].
@@ -85,21 +95,12 @@ impl Layer {
         rectified: bool,
         out: &'r mut [Lanes],
     ) -> &'r [Lanes] {
-        let least = if rectified { 0.0 } else { f32::NEG_INFINITY };
         let outs = out.as_chunks_mut::<OUTPUTS>().0;
         let weights = self.weights.0.chunks_exact(inputs.len());
         for ((out, weights), bias) in outs.iter_mut().zip(weights).zip(&self.bias) {
-            let mut sums: [Lanes; OUTPUTS] = std::array::from_fn(|q| [bias[q]; LANES]);
-            for (input, weight) in inputs.iter().zip(weights) {
-                for q in 0..OUTPUTS {
-                    for lane in 0..LANES {
-                        sums[q][lane] = weight[q].mul_add(input[lane], sums[q][lane]);
-                    }
-                }
-            }
-            *out = sums;
-            for value in out.as_flattened_mut() {
-                *value = value.max(least);
+            *out = weighted_sums(std::array::from_fn(|q| [bias[q]; LANES]), weights, inputs);
+            if rectified {
+                rectify(out);
             }
         }
         &out[..self.outputs]

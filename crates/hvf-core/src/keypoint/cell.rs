@@ -9,7 +9,7 @@
 use ndarray::{ArrayView1, ArrayView2};
 
 use super::field::SceneField;
-use crate::lanes::{rectify, Lanes, Packed, LANES, OUTPUTS};
+use crate::lanes::{rectify, Lanes, Layer, Packed, LANES, OUTPUTS};
 use crate::{Error, Result};
 
 /// Weights of the cell as `torch.nn.Linear` stores them: `[outputs, inputs]`.
@@ -56,11 +56,9 @@ pub struct Cell {
     patch_bias: Vec<f32>,
     /// A actions (weights already divided by the scale), then C numbers of memory.
     context: Packed,
-    middle: Packed,
-    middle_bias: Vec<f32>,
-    /// Motion, memory, and zeros up to a multiple of [`OUTPUTS`].
-    output: Packed,
-    output_bias: Vec<f32>,
+    middle: Layer,
+    /// Motion, then memory.
+    output: Layer,
     /// `[2][A]`, already divided by the scale.
     free: Vec<f32>,
 }
@@ -154,8 +152,6 @@ impl Cell {
         let (action_dim, memory) = weights.validate()?;
         let hidden = weights.patch.nrows();
         let scale = 1.0 / weights.action_scale;
-        let mut output_bias = weights.output_bias.to_vec();
-        output_bias.resize((2 + memory).next_multiple_of(OUTPUTS), 0.0);
         Ok(Self {
             hidden,
             action_dim,
@@ -174,10 +170,8 @@ impl Cell {
                     }
                 },
             ),
-            middle: Packed::new(weights.middle, |_| 1.0),
-            middle_bias: weights.middle_bias.to_vec(),
-            output: Packed::new(weights.output, |_| 1.0),
-            output_bias,
+            middle: Layer::new(weights.middle, weights.middle_bias),
+            output: Layer::new(weights.output, weights.output_bias),
             free: weights.free.iter().map(|weight| weight * scale).collect(),
         })
     }
@@ -198,8 +192,8 @@ impl Cell {
             row: vec![0.0; self.hidden],
             context: vec![[0.0; LANES]; self.action_dim + self.memory],
             first: vec![[0.0; LANES]; self.hidden],
-            second: vec![[0.0; LANES]; self.hidden],
-            moved: vec![[0.0; LANES]; self.output_bias.len()],
+            second: self.middle.room(),
+            moved: self.output.room(),
         }
     }
 
@@ -234,15 +228,8 @@ fn substep(cell: &Cell, field: &SceneField, keypoint: &mut [Lanes; 2], scratch: 
     }
     cell.context.accumulate(context, first);
     rectify(first);
-    for (unit, &bias) in second.iter_mut().zip(&cell.middle_bias) {
-        *unit = [bias; LANES];
-    }
-    cell.middle.accumulate(first, second);
-    rectify(second);
-    for (out, &bias) in moved.iter_mut().zip(&cell.output_bias) {
-        *out = [bias; LANES];
-    }
-    cell.output.accumulate(second, moved);
+    let second = cell.middle.apply(first, true, second);
+    let moved = cell.output.apply(second, false, moved);
 
     let (actions, memory) = context.split_at_mut(cell.action_dim);
     for (axis, position) in keypoint.iter_mut().enumerate() {
