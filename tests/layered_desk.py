@@ -6,21 +6,21 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hvf.models.desk.arm import ArmConfig
-from hvf.models.desk.backdrop import BackdropConfig
-from hvf.models.desk.cell import CellConfig
-from hvf.models.desk.colours import ColoursConfig
-from hvf.models.desk.dynamics import DeskDynamics, DeskDynamicsConfig
-from hvf.models.desk.gallery import GalleryConfig
-from hvf.models.desk.perception import DeskPerceptionConfig
+from hvf.models.layers.arm import ArmConfig
+from hvf.models.layers.backdrop import BackdropConfig
+from hvf.models.layers.cell import CellConfig
+from hvf.models.layers.colours import ColoursConfig
+from hvf.models.layers.dynamics import LayerDynamics, LayerDynamicsConfig
+from hvf.models.layers.gallery import GalleryConfig
+from hvf.models.layers.perception import LayerPerceptionConfig
 
 SIZE, PARTS, ACTION = 32, 3, 3
 
 
-def random_dynamics(seed: int = 0) -> DeskDynamics:
+def random_dynamics(seed: int = 0) -> LayerDynamics:
     """A model of images of 32 pixels in which everything moves and is seen."""
     generator = torch.manual_seed(seed)
-    perception = DeskPerceptionConfig(
+    perception = LayerPerceptionConfig(
         colours=ColoursConfig(image_size=SIZE),
         backdrop=BackdropConfig(bins=(7, 3)),
         arm=ArmConfig(channels=(4, 8), hidden=20),
@@ -29,7 +29,7 @@ def random_dynamics(seed: int = 0) -> DeskDynamics:
         sprite=7,
     )
     cell = CellConfig(hand_hidden=10, part_hidden=13, memory=3, reach=7.0)
-    model = DeskDynamics(DeskDynamicsConfig(perception=perception, cell=cell))
+    model = LayerDynamics(LayerDynamicsConfig(perception=perception, cell=cell))
     with torch.no_grad():
         for network in (model.cell.hand, model.cell.parts, *model.cell.sliders):
             network[-1].weight.normal_(std=0.3)

@@ -17,7 +17,8 @@ from torch import nn
 import hvf_core
 from hvf.data.collect import CollectConfig, collect_maze
 from hvf.models.checkpoint import load_model, read_header
-from hvf.models.cvae import (
+from hvf.models.frames import to_unit
+from hvf.models.vae import (
     BAIR_CVAE,
     CVAE,
     DESK_VAE,
@@ -25,9 +26,8 @@ from hvf.models.cvae import (
     gaussian_kl,
     pyramid_loss,
 )
-from hvf.models.frames import to_unit
 from hvf.training.loop import LoopConfig, seeded, train
-from hvf.training.subgoals import (
+from hvf.training.recipes.vae import (
     SubgoalTraining,
     maze_probe,
     train_subgoals,

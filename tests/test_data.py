@@ -18,8 +18,9 @@ from hypothesis import HealthCheck, given, settings
 
 import hvf_core
 from hvf.data.collect import CollectConfig, collect, collect_maze
+from hvf.data.episodes import Episodes, Metadata
+from hvf.data.formats.hdf5 import EpisodeFile, write_episodes
 from hvf.data.loader import EpisodePool, PairSampler, WindowSampler
-from hvf.data.store import EpisodeFile, Episodes, Metadata, write_episodes
 
 STEPS = 6
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import toy_desk as toy
-from hvf.models.desk.arm import Arm, ArmConfig
-from hvf.models.desk.gallery import Gallery, GalleryConfig
 from hvf.models.frames import to_unit
+from hvf.models.layers.arm import Arm, ArmConfig
+from hvf.models.layers.gallery import Gallery, GalleryConfig
 
 Arms = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]
 PAIR = st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(0.05, 1), st.booleans())

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from hvf.models.desk.cell import CellConfig, quadratic
-from hvf.models.desk.dynamics import DeskDynamics
+from hvf.models.layers.cell import CellConfig, quadratic
+from hvf.models.layers.dynamics import LayerDynamics
 from layered_desk import ACTION, PARTS, random_dynamics, random_states
 
 Floats = NDArray[np.float64]
@@ -20,7 +20,7 @@ FIXED = ACTION + 2
 
 
 @pytest.fixture(scope="module")
-def dynamics() -> DeskDynamics:
+def dynamics() -> LayerDynamics:
     return random_dynamics(1).requires_grad_(False)
 
 
@@ -44,7 +44,7 @@ def answer(network: nn.Module, inputs: list[Floats]) -> Floats:
     return x
 
 
-def meets(dynamics: DeskDynamics, hand: Floats) -> Floats:
+def meets(dynamics: LayerDynamics, hand: Floats) -> Floats:
     """Where the hand meets parts."""
     terms = [1.0, *hand]
     terms += [hand[i] * hand[j] for i in range(len(hand)) for j in range(i, len(hand))]
@@ -63,7 +63,7 @@ def distance(point: Floats, start: Floats, end: Floats) -> float:
 
 
 def slow_rollout(
-    dynamics: DeskDynamics, state: NDArray[np.float32], actions: Tensor
+    dynamics: LayerDynamics, state: NDArray[np.float32], actions: Tensor
 ) -> tuple[Floats, float]:
     """States `[H, X]`, and how near, at the nearest, a part is to the border of the reach."""
     cell = dynamics.cell
@@ -105,7 +105,7 @@ def slow_rollout(
 
 @settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_rollouts_are_those_of_a_slow_copy(dynamics: DeskDynamics, seed: int) -> None:
+def test_rollouts_are_those_of_a_slow_copy(dynamics: LayerDynamics, seed: int) -> None:
     states, actions = random_states(4, seed), random_actions(seed, 4, 5)
     path = dynamics.rollout(torch.from_numpy(states), actions).numpy()
     assert path.shape == (4, 5, FIXED + 3 * PARTS)
@@ -115,13 +115,13 @@ def test_rollouts_are_those_of_a_slow_copy(dynamics: DeskDynamics, seed: int) ->
             np.testing.assert_allclose(found, expected, atol=2e-3, rtol=1e-4)
 
 
-def test_the_last_state_is_that_of_the_path(dynamics: DeskDynamics) -> None:
+def test_the_last_state_is_that_of_the_path(dynamics: LayerDynamics) -> None:
     states, actions = torch.from_numpy(random_states(6, 1)), random_actions(1, 6, 4)
     last = dynamics.rollout(states, actions, last=True)
     assert torch.equal(last, dynamics.rollout(states, actions)[:, -1:])
 
 
-def test_rollouts_do_not_depend_on_their_neighbours(dynamics: DeskDynamics) -> None:
+def test_rollouts_do_not_depend_on_their_neighbours(dynamics: LayerDynamics) -> None:
     states, actions = torch.from_numpy(random_states(9, 2)), random_actions(2, 9, 4)
     together = dynamics.rollout(states, actions)
     for i in range(9):
@@ -140,7 +140,7 @@ def test_rollouts_do_not_depend_on_their_neighbours(dynamics: DeskDynamics) -> N
     away=st.floats(0.01, 30),
 )
 def test_a_part_out_of_reach_does_not_move_by_a_bit(
-    dynamics: DeskDynamics, seed: int, share: float, side: int, away: float
+    dynamics: LayerDynamics, seed: int, share: float, side: int, away: float
 ) -> None:
     state, actions = random_states(1, seed), random_actions(seed, 1, 1)
     hand = state[0, :ACTION].astype(float)
@@ -164,7 +164,7 @@ def test_a_part_out_of_reach_does_not_move_by_a_bit(
     assert not np.array_equal(path[FIXED : FIXED + 2], near[0, FIXED : FIXED + 2])
 
 
-def test_a_part_heeds_the_hand_and_itself_alone(dynamics: DeskDynamics) -> None:
+def test_a_part_heeds_the_hand_and_itself_alone(dynamics: LayerDynamics) -> None:
     states, actions = torch.from_numpy(random_states(50, 3)), random_actions(3, 50, 5)
     path = dynamics.rollout(states, actions)
     other = states.clone()
@@ -183,7 +183,7 @@ def test_a_part_heeds_the_hand_and_itself_alone(dynamics: DeskDynamics) -> None:
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_sliders_and_presence_stay_between_nothing_and_all(
-    dynamics: DeskDynamics, seed: int
+    dynamics: LayerDynamics, seed: int
 ) -> None:
     states, actions = torch.from_numpy(random_states(20, seed)), random_actions(seed, 20, 8)
     _, sliders, parts = dynamics.perception.split(dynamics.rollout(states, actions).flatten(0, 1))
@@ -255,7 +255,7 @@ def random_batch(seed: int) -> dict[str, Tensor]:
     }
 
 
-def test_the_loss_is_the_mean_distance_of_what_is_known(dynamics: DeskDynamics) -> None:
+def test_the_loss_is_the_mean_distance_of_what_is_known(dynamics: LayerDynamics) -> None:
     batch = random_batch(5)
     found, parts = dynamics.loss(batch, torch.Generator(), 0)
     states, known = batch["states"].double().numpy(), batch["known"].numpy()
@@ -283,7 +283,7 @@ def test_the_loss_is_the_mean_distance_of_what_is_known(dynamics: DeskDynamics) 
     assert float(found) == pytest.approx(sum(expected.values()), rel=1e-3)
 
 
-def test_what_is_not_known_of_parts_teaches_nothing(dynamics: DeskDynamics) -> None:
+def test_what_is_not_known_of_parts_teaches_nothing(dynamics: LayerDynamics) -> None:
     batch = random_batch(6)
     states = batch["states"].clone()
     parts = states[..., FIXED:].reshape(4, 4, PARTS, 3)[:, 1:]
@@ -302,7 +302,7 @@ def test_what_is_not_known_of_parts_teaches_nothing(dynamics: DeskDynamics) -> N
     assert float(third) != float(losses[0])
 
 
-def test_a_true_path_costs_nothing(dynamics: DeskDynamics) -> None:
+def test_a_true_path_costs_nothing(dynamics: LayerDynamics) -> None:
     batch = random_batch(7)
     path = dynamics.rollout(batch["states"][:, 0], batch["actions"])
     batch["states"] = torch.cat([batch["states"][:, :1], path], dim=1)

@@ -16,8 +16,8 @@ pytest.importorskip("mujoco", reason="MuJoCo 4 needs Python 3.11")
 
 from rich.console import Console
 
-from hvf.data.desk import DeskCollectConfig, collect_desk, random_episodes
-from hvf.data.store import EpisodeFile
+from hvf.data.formats.hdf5 import EpisodeFile
+from hvf.domains.desk.collection import DeskCollectConfig, collect_desk, random_episodes
 from hvf.envs.desk.arrangement import random_arrangement, settled
 from hvf.envs.desk.pool import Worker
 from hvf.envs.desk.rendering import DeskRenderer

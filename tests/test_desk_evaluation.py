@@ -14,6 +14,7 @@ pytest.importorskip("mujoco", reason="MuJoCo 4 needs Python 3.11")
 
 import hvf_core
 from hvf.cli import main
+from hvf.domains.desk.trials import DeskEvaluation, DeskPlanning, DeskTask, DeskTrials
 from hvf.envs.desk.env import DeskEnv
 from hvf.envs.desk.pool import DeskPool
 from hvf.envs.desk.rendering import project
@@ -29,10 +30,9 @@ from hvf.envs.desk.simulator import (
     end_effectors,
 )
 from hvf.envs.desk.tasks import TASKS, TaskName, make_episodes, object_success
-from hvf.evaluation.desk import DeskEvaluation, DeskPlanning, DeskTask, DeskTrials
-from hvf.evaluation.evaluate import evaluate, load
+from hvf.evaluation.run import evaluate, load
 from hvf.worlds.desk import DeskWorldConfig, load_desk
-from hvf.worlds.desk_simulator import DeskFrames, DeskSimulatorWorld
+from hvf.worlds.mujoco import DeskFrames, MujocoWorld
 
 SIZE = 32
 SEED = 5
@@ -204,7 +204,7 @@ def problems(pool: DeskPool, simulator: DeskSimulator) -> tuple[DeskFrames, Desk
     """Two problems with three candidates of four steps each."""
     episodes = make_episodes(simulator, "two_block", SEED, 0, 2)
     starts = DeskFrames(pool.render(episodes.starts), episodes.starts)
-    goals = DeskSimulatorWorld(pool).observe(pool.render(episodes.goals))
+    goals = MujocoWorld(pool).observe(pool.render(episodes.goals))
     actions = np.random.default_rng(1).uniform(-1, 1, (2, 3, 4, 3)).astype(np.float32)
     return starts, goals, actions
 
@@ -226,7 +226,7 @@ def test_costs_are_those_of_stepping_drawing_and_comparing_one_by_one(
     pool: DeskPool, simulator: DeskSimulator, over_horizon: str
 ) -> None:
     starts, goals, actions = problems(pool, simulator)
-    world = DeskSimulatorWorld(pool, over_horizon=over_horizon)  # type: ignore[arg-type]
+    world = MujocoWorld(pool, over_horizon=over_horizon)  # type: ignore[arg-type]
     costs = world.rollout_costs(starts, goals, actions)
     assert (costs.shape, costs.dtype) == ((2, 3), np.float32)
     reduce = {"last": lambda path: path[-1], "sum": sum, "min": min}[over_horizon]
@@ -238,7 +238,7 @@ def test_costs_are_those_of_stepping_drawing_and_comparing_one_by_one(
 
 def test_costs_may_be_of_blurred_frames(pool: DeskPool, simulator: DeskSimulator) -> None:
     starts, goals, actions = problems(pool, simulator)
-    costs = DeskSimulatorWorld(pool, blur=2.0).rollout_costs(starts, goals, actions)
+    costs = MujocoWorld(pool, blur=2.0).rollout_costs(starts, goals, actions)
     last, images = pool.rollout(starts.states, actions[:, 1])
     np.testing.assert_array_equal(images, pool.render(last))
     expected = hvf_core.image_cost(images, goals.images, blur=2.0)
@@ -250,8 +250,8 @@ def test_one_process_and_two_plan_the_same(
 ) -> None:
     starts, goals, _ = problems(pool, simulator)
     mpc = hvf_core.VisualMPC(horizon=3, action_repeat=3, samples=6, elites=2, iterations=2)
-    alone = mpc.plan_batch(DeskSimulatorWorld(single), starts, goals, seeds=[7, 8])
-    together = mpc.plan_batch(DeskSimulatorWorld(pool), starts, goals, seeds=[7, 8])
+    alone = mpc.plan_batch(MujocoWorld(single), starts, goals, seeds=[7, 8])
+    together = mpc.plan_batch(MujocoWorld(pool), starts, goals, seeds=[7, 8])
     np.testing.assert_array_equal(alone.actions, together.actions)
     np.testing.assert_array_equal(alone.costs, together.costs)
 
@@ -260,7 +260,7 @@ def test_a_candidate_that_diverges_costs_nan_and_spoils_no_other(
     pool: DeskPool, simulator: DeskSimulator
 ) -> None:
     starts, goals, actions = problems(pool, simulator)
-    world = DeskSimulatorWorld(pool)
+    world = MujocoWorld(pool)
     good = world.rollout_costs(starts, goals, actions)
     states = starts.states.copy()
     states[0, 40:] = 1e12
@@ -271,7 +271,7 @@ def test_a_candidate_that_diverges_costs_nan_and_spoils_no_other(
 
 def test_frames_that_do_not_fit_are_refused(pool: DeskPool, simulator: DeskSimulator) -> None:
     starts, goals, actions = problems(pool, simulator)
-    world = DeskSimulatorWorld(pool)
+    world = MujocoWorld(pool)
     with pytest.raises(ValueError, match=r"^starts: their states are not known"):
         world.rollout_costs(goals, goals, actions)
     with pytest.raises(ValueError, match=r"^images: expected shape \[N, 32, 32, 3\]"):
@@ -289,7 +289,7 @@ def test_frames_that_do_not_fit_are_refused(pool: DeskPool, simulator: DeskSimul
 @pytest.mark.parametrize("blur", [-1.0, float("nan"), float("inf")])
 def test_a_bad_blur_is_refused(pool: DeskPool, blur: float) -> None:
     with pytest.raises(ValueError, match=r"^blur: "):
-        DeskSimulatorWorld(pool, blur)
+        MujocoWorld(pool, blur)
     with pytest.raises(ValueError, match=r"^blur: "):
         DeskWorldConfig(blur=blur)
 

@@ -17,26 +17,27 @@ from rich.console import Console
 from torch import Tensor, nn
 
 import toy_desk as toy
+from hvf.data.episodes import Episodes, Metadata
+from hvf.data.formats.hdf5 import write_episodes
 from hvf.data.loader import EpisodePool
-from hvf.data.store import Episodes, Metadata, write_episodes
 from hvf.models.checkpoint import load_model, read_tensors, save_model
-from hvf.models.desk.dynamics import DeskDynamics
-from hvf.models.desk.generator import DeskGenerator, DeskGeneratorConfig
-from hvf.models.desk.perception import DeskPerception
-from hvf.training.desk_generator import (
-    DeskGeneratorTraining,
-    StatePairs,
-    train_desk_generator,
-    validate_desk_generator,
-)
-from hvf.training.desk_tracks import DeskTracks
+from hvf.models.layers.dynamics import LayerDynamics
+from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
+from hvf.models.layers.perception import LayerPerception
 from hvf.training.loop import LoopConfig
-from hvf.worlds.desk_learned import DeskLearnedWorld
-from hvf.worlds.desk_subgoals import StateSubgoals
+from hvf.training.recipes.layers_generator import (
+    LayersGeneratorTraining,
+    StatePairs,
+    train_layers_generator,
+    validate_layers_generator,
+)
+from hvf.training.tracks.layers import LayerTracks
+from hvf.worlds.layers import LayerWorld
+from hvf.worlds.layers_subgoals import StateSubgoals
 from layered_desk import SIZE, random_dynamics
 
 EPISODES, STEPS = 40, 30
-SMALL = DeskGeneratorConfig(image_size=toy.SIZE, latent_dim=4, hidden=16)
+SMALL = LayerGeneratorConfig(image_size=toy.SIZE, latent_dim=4, hidden=16)
 SHORT = LoopConfig(
     steps=8, learning_rate=1e-3, precision="float32", validate_every=8, checkpoint_every=4
 )
@@ -44,7 +45,7 @@ QUIET = Console(file=io.StringIO())
 
 
 @pytest.fixture(scope="module")
-def perception() -> DeskPerception:
+def perception() -> LayerPerception:
     return toy.seen()[0]
 
 
@@ -56,26 +57,26 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def tracks(data: Path, perception: DeskPerception) -> DeskTracks:
+def tracks(data: Path, perception: LayerPerception) -> LayerTracks:
     """Tracks of which every state bears its number: episode and frame, in place of the hand."""
-    found = DeskTracks(data, perception, EPISODES)
+    found = LayerTracks(data, perception, EPISODES)
     found.truth[..., 0] = np.arange(EPISODES)[:, None]
     found.truth[..., 1] = np.arange(STEPS + 1)
     return found
 
 
 @pytest.fixture(scope="module")
-def dynamics(perception: DeskPerception, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dynamics(perception: LayerPerception, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("dynamics") / "model.safetensors"
-    model = DeskDynamics(toy.TINY).freeze_perception(perception)
+    model = LayerDynamics(toy.TINY).freeze_perception(perception)
     save_model(path, model, environment="desk")
     return path
 
 
-def restless(seed: int) -> DeskGenerator:
+def restless(seed: int) -> LayerGenerator:
     """A generator that nobody trained, of which everything moves somewhat."""
     torch.manual_seed(seed)
-    model = DeskGenerator(SMALL).requires_grad_(False)
+    model = LayerGenerator(SMALL).requires_grad_(False)
     last_layer(model).weight.normal_(std=0.3)
     before = scenes(seed, 300)
     change = (model.rebuild(torch.randn(300, 4), before) - before) / model.scale
@@ -84,7 +85,7 @@ def restless(seed: int) -> DeskGenerator:
     return model
 
 
-def last_layer(model: DeskGenerator) -> nn.Linear:
+def last_layer(model: LayerGenerator) -> nn.Linear:
     layer = model.decoder[-1]
     assert isinstance(layer, nn.Linear)
     return layer
@@ -157,7 +158,7 @@ def test_the_loss_is_the_negative_evidence_lower_bound() -> None:
 
 def test_a_trained_generator_rebuilds_what_it_is_shown() -> None:
     torch.manual_seed(6)
-    model = DeskGenerator(dataclasses.replace(SMALL, hidden=48, hand_precision=1.0))
+    model = LayerGenerator(dataclasses.replace(SMALL, hidden=48, hand_precision=1.0))
     optimiser = torch.optim.Adam(model.parameters(), 6e-3)
     first = scenes(7, 300)
     first[:, 7::3] = 1
@@ -186,7 +187,7 @@ def test_a_trained_generator_rebuilds_what_it_is_shown() -> None:
 # ---- pairs of states ---------------------------------------------------------------------------
 
 
-def places_of(tracks: DeskTracks, states: Tensor) -> list[tuple[int, int]]:
+def places_of(tracks: LayerTracks, states: Tensor) -> list[tuple[int, int]]:
     """Episodes and frames that these states are those of."""
     places = [(int(state[0]), int(state[1])) for state in states]
     for place, state in zip(places, states.numpy(), strict=True):
@@ -195,7 +196,7 @@ def places_of(tracks: DeskTracks, states: Tensor) -> list[tuple[int, int]]:
 
 
 def test_pairs_are_from_one_episode_and_in_half_of_them_something_is_pushed(
-    tracks: DeskTracks,
+    tracks: LayerTracks,
 ) -> None:
     pushed = set(map(tuple, tracks.pushed(15).tolist()))
     for step in range(3):
@@ -214,7 +215,7 @@ def test_pairs_are_from_one_episode_and_in_half_of_them_something_is_pushed(
 
 
 @pytest.mark.parametrize("known", [0.9, 0.6, 0.1])
-def test_pairs_are_known_however_little_is(tracks: DeskTracks, known: float) -> None:
+def test_pairs_are_known_however_little_is(tracks: LayerTracks, known: float) -> None:
     blind = copy.copy(tracks)
     rng = np.random.default_rng(8)
     seen = rng.random(tracks.known.shape) < known ** (1 / 3)
@@ -227,7 +228,7 @@ def test_pairs_are_known_however_little_is(tracks: DeskTracks, known: float) -> 
             assert all(seen[place].all() for place in places_of(tracks, batch[name]))
 
 
-def test_without_a_pair_there_is_one_clear_error(tracks: DeskTracks) -> None:
+def test_without_a_pair_there_is_one_clear_error(tracks: LayerTracks) -> None:
     blind = copy.copy(tracks)
     blind.known = np.zeros_like(tracks.known)
     # A single frame is no pair.
@@ -241,10 +242,10 @@ def test_without_a_pair_there_is_one_clear_error(tracks: DeskTracks) -> None:
 
 def trained(data: Path, dynamics: Path, out: Path, **settings: Any) -> str:
     said = io.StringIO()
-    config = DeskGeneratorTraining(
+    config = LayersGeneratorTraining(
         data, dynamics, out, episodes=30, batch_size=16, model=SMALL, loop=SHORT
     )
-    train_desk_generator(dataclasses.replace(config, **settings), Console(file=said, width=300))
+    train_layers_generator(dataclasses.replace(config, **settings), Console(file=said, width=300))
     return said.getvalue()
 
 
@@ -275,24 +276,24 @@ def test_training_that_died_goes_on_to_the_same_result(
 def test_the_model_takes_its_sizes_from_the_dynamics(
     data: Path, dynamics: Path, tmp_path: Path
 ) -> None:
-    config = DeskGeneratorTraining(data, dynamics, tmp_path, episodes=4, loop=SHORT)
+    config = LayersGeneratorTraining(data, dynamics, tmp_path, episodes=4, loop=SHORT)
     small = dataclasses.replace(SMALL, image_size=64, action_dim=1, sliders=1, roaming=1)
-    model = train_desk_generator(dataclasses.replace(config, model=small), QUIET)
+    model = train_layers_generator(dataclasses.replace(config, model=small), QUIET)
     assert model.config == SMALL
 
 
 def test_validation_counts_what_moves(data: Path, dynamics: Path) -> None:
-    world = load_model(dynamics, DeskDynamics, environment="desk")
+    world = load_model(dynamics, LayerDynamics, environment="desk")
     held_out = EpisodePool(data, "validation", environment="desk")
     held_out.move_to(0)
-    model = DeskGenerator(SMALL).requires_grad_(False)
+    model = LayerGenerator(SMALL).requires_grad_(False)
     last_layer(model).weight.zero_()
     for slide, rows in ((0.0, 0.0), (0.7, 0.0), (0.0, 0.3)):
         # The first slider goes by a third of its way or so, the first part by five rows.
         last_layer(model).bias.zero_()
         last_layer(model).bias[3] = slide
         last_layer(model).bias[5] = rows
-        found = validate_desk_generator(model, world, held_out, torch.Generator().manual_seed(0))
+        found = validate_layers_generator(model, world, held_out, torch.Generator().manual_seed(0))
         at_end = np.mean(
             [
                 bool(s)
@@ -331,16 +332,16 @@ def test_data_that_the_dynamics_does_not_fit_is_one_clear_error(
 )
 def test_settings_out_of_range_are_named(settings: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        DeskGeneratorConfig(**settings)  # type: ignore[arg-type]
+        LayerGeneratorConfig(**settings)  # type: ignore[arg-type]
 
 
 # ---- as the planner's subgoals -----------------------------------------------------------------
 
 
 def test_each_subgoal_of_a_sample_is_drawn_given_the_one_before_it() -> None:
-    world = DeskLearnedWorld(random_dynamics())
+    world = LayerWorld(random_dynamics())
     torch.manual_seed(3)
-    model = DeskGenerator(DeskGeneratorConfig(image_size=SIZE, latent_dim=4, hidden=16))
+    model = LayerGenerator(LayerGeneratorConfig(image_size=SIZE, latent_dim=4, hidden=16))
     rng = np.random.default_rng(1)
     scene = world.observe(rng.integers(0, 256, (1, SIZE, SIZE, 3), dtype=np.uint8))
     latents = (3 * rng.standard_normal((5, 3, 4))).astype(np.float32)
@@ -359,6 +360,6 @@ def test_each_subgoal_of_a_sample_is_drawn_given_the_one_before_it() -> None:
 
 
 def test_a_generator_of_other_states_than_the_worlds_is_refused() -> None:
-    world = DeskLearnedWorld(random_dynamics())
+    world = LayerWorld(random_dynamics())
     with pytest.raises(ValueError, match="generator: draws states of length 17, the world's: 14"):
-        StateSubgoals(DeskGenerator(DeskGeneratorConfig(roaming=4)), world)
+        StateSubgoals(LayerGenerator(LayerGeneratorConfig(roaming=4)), world)

@@ -15,14 +15,14 @@ from hvf.protocols import Observer, RolloutSharer, WorldModel
 
 torch = pytest.importorskip("torch")
 
-from hvf.models.desk.dynamics import DeskDynamics  # noqa: E402
-from hvf.models.desk.perception import Scene  # noqa: E402
-from hvf.worlds.desk_learned import DeskLearnedWorld  # noqa: E402
+from hvf.models.layers.dynamics import LayerDynamics  # noqa: E402
+from hvf.models.layers.perception import Scene  # noqa: E402
+from hvf.worlds.layers import LayerWorld  # noqa: E402
 from layered_desk import ACTION, PARTS, SIZE, random_dynamics, random_states  # noqa: E402
 
 
 @pytest.fixture(scope="module")
-def dynamics() -> DeskDynamics:
+def dynamics() -> LayerDynamics:
     return random_dynamics()
 
 
@@ -31,7 +31,7 @@ def random_images(count: int, seed: int) -> NDArray[np.uint8]:
     return rng.integers(0, 256, (count, SIZE, SIZE, 3), dtype=np.uint8)
 
 
-def frames_of(world: DeskLearnedWorld, count: int, seed: int) -> hvf_core.LayerFrames:
+def frames_of(world: LayerWorld, count: int, seed: int) -> hvf_core.LayerFrames:
     """Frames that hold anything at all."""
     rng = np.random.default_rng(seed)
     images = random_images(count, seed)
@@ -46,7 +46,7 @@ def actions_of(shape: tuple[int, ...], seed: int) -> NDArray[np.float32]:
 
 
 def torch_rollout(
-    dynamics: DeskDynamics, states: NDArray[np.float32], actions: NDArray[np.float32]
+    dynamics: LayerDynamics, states: NDArray[np.float32], actions: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """States `[D, H, X]` of `actions [D, H, A]` from one state."""
     with torch.inference_mode():
@@ -60,7 +60,7 @@ def torch_rollout(
 class Drawn:
     """Start frames that torch draws from, and the same for Rust."""
 
-    def __init__(self, world: DeskLearnedWorld, count: int, seed: int) -> None:
+    def __init__(self, world: LayerWorld, count: int, seed: int) -> None:
         rng = np.random.default_rng(seed)
         self.images = rng.integers(0, 256, (count, SIZE, SIZE, 3), dtype=np.uint8)
         self.clean = rng.random((count, SIZE, SIZE, 3), dtype=np.float32)
@@ -83,8 +83,8 @@ class Drawn:
         return np.ascontiguousarray(drawn.permute(0, 2, 3, 1).numpy())
 
 
-def test_rollouts_in_rust_are_those_of_torch(dynamics: DeskDynamics) -> None:
-    world = DeskLearnedWorld(dynamics)
+def test_rollouts_in_rust_are_those_of_torch(dynamics: LayerDynamics) -> None:
+    world = LayerWorld(dynamics)
     frames = frames_of(world, 8, seed=1)
     actions = actions_of((8, 83, 12, ACTION), seed=2)
     found = world.native.rollout(frames, actions)
@@ -99,8 +99,8 @@ def test_rollouts_in_rust_are_those_of_torch(dynamics: DeskDynamics) -> None:
     assert parts[:, 2].any()
 
 
-def test_frames_drawn_in_rust_are_those_of_torch(dynamics: DeskDynamics) -> None:
-    world = DeskLearnedWorld(dynamics)
+def test_frames_drawn_in_rust_are_those_of_torch(dynamics: LayerDynamics) -> None:
+    world = LayerWorld(dynamics)
     drawn = Drawn(world, 2, seed=3)
     for i in range(2):
         states = random_states(40, seed=4 + i)
@@ -116,9 +116,9 @@ def test_frames_drawn_in_rust_are_those_of_torch(dynamics: DeskDynamics) -> None
 @pytest.mark.parametrize("blur", [0.0, 1.5])
 @pytest.mark.parametrize("over_horizon", ["last", "sum", "min"])
 def test_costs_are_those_of_frames_that_torch_draws(
-    dynamics: DeskDynamics, blur: float, over_horizon: Any
+    dynamics: LayerDynamics, blur: float, over_horizon: Any
 ) -> None:
-    world = DeskLearnedWorld(dynamics, blur, over_horizon)
+    world = LayerWorld(dynamics, blur, over_horizon)
     drawn = Drawn(world, 4, seed=5)
     starts, goals = drawn.frames[np.array([0, 1])], drawn.frames[np.array([2, 3])]
     actions = actions_of((2, 9, 4, ACTION), seed=6)
@@ -143,9 +143,9 @@ def test_costs_are_those_of_frames_that_torch_draws(
 @pytest.mark.parametrize("blur", [0.0, 1.5])
 @pytest.mark.parametrize("over_horizon", ["last", "min"])
 def test_shared_rollouts_cost_the_same_to_the_last_bit(
-    dynamics: DeskDynamics, blur: float, over_horizon: Any
+    dynamics: LayerDynamics, blur: float, over_horizon: Any
 ) -> None:
-    world = DeskLearnedWorld(dynamics, blur, over_horizon)
+    world = LayerWorld(dynamics, blur, over_horizon)
     frames = frames_of(world, 7, seed=7)
     actions = actions_of((77, 5, ACTION), seed=8)
     shared = world.shared_rollout_costs(frames[np.array([4])], frames, actions)
@@ -158,8 +158,8 @@ def test_shared_rollouts_cost_the_same_to_the_last_bit(
     assert one[0, 0] == shared[2, 5]
 
 
-def test_a_part_that_the_hand_does_not_come_near_stays(dynamics: DeskDynamics) -> None:
-    world = DeskLearnedWorld(dynamics)
+def test_a_part_that_the_hand_does_not_come_near_stays(dynamics: LayerDynamics) -> None:
+    world = LayerWorld(dynamics)
     frames = frames_of(world, 1, seed=9)
     states = frames.states
     states[0, ACTION + 2 :] = [500.0, 500.0, 1.0] * PARTS
@@ -175,8 +175,8 @@ def test_a_part_that_the_hand_does_not_come_near_stays(dynamics: DeskDynamics) -
     )
 
 
-def test_predicted_frames_are_drawn_rollouts(dynamics: DeskDynamics) -> None:
-    world = DeskLearnedWorld(dynamics)
+def test_predicted_frames_are_drawn_rollouts(dynamics: LayerDynamics) -> None:
+    world = LayerWorld(dynamics)
     drawn = Drawn(world, 2, seed=11)
     actions = actions_of((2, 3, ACTION), seed=12)
     found = world.predict(drawn.frames, actions)
@@ -186,8 +186,8 @@ def test_predicted_frames_are_drawn_rollouts(dynamics: DeskDynamics) -> None:
         np.testing.assert_allclose(found[i], 255 * drawn.draw(i, path), atol=0.51)
 
 
-def test_an_action_that_is_no_number_has_a_cost_that_is_none(dynamics: DeskDynamics) -> None:
-    world = DeskLearnedWorld(dynamics)
+def test_an_action_that_is_no_number_has_a_cost_that_is_none(dynamics: LayerDynamics) -> None:
+    world = LayerWorld(dynamics)
     frames = frames_of(world, 2, seed=13)
     actions = actions_of((2, 20, 4, ACTION), seed=14)
     good = world.rollout_costs(frames, frames, actions.copy())
@@ -198,8 +198,8 @@ def test_an_action_that_is_no_number_has_a_cost_that_is_none(dynamics: DeskDynam
     np.testing.assert_array_equal(bad, good)
 
 
-def test_observed_frames_are_what_perception_sees(dynamics: DeskDynamics) -> None:
-    world = DeskLearnedWorld(dynamics)
+def test_observed_frames_are_what_perception_sees(dynamics: LayerDynamics) -> None:
+    world = LayerWorld(dynamics)
     assert isinstance(world, WorldModel)
     assert isinstance(world, RolloutSharer)
     assert isinstance(world, Observer)
@@ -216,8 +216,8 @@ def test_observed_frames_are_what_perception_sees(dynamics: DeskDynamics) -> Non
     np.testing.assert_allclose(world.native.draw(frames, frames.states), still, atol=2e-3)
 
 
-def test_a_changed_scene_looks_as_its_states_are_drawn(dynamics: DeskDynamics) -> None:
-    world = DeskLearnedWorld(dynamics)
+def test_a_changed_scene_looks_as_its_states_are_drawn(dynamics: LayerDynamics) -> None:
+    world = LayerWorld(dynamics)
     scene = world.observe(random_images(1, seed=15))
     states = random_states(5, seed=16)
     frames = world.changed(scene, states)
@@ -235,9 +235,9 @@ def test_a_changed_scene_looks_as_its_states_are_drawn(dynamics: DeskDynamics) -
 
 
 def test_the_planner_searches_subgoals_the_same_with_and_without_savings(
-    dynamics: DeskDynamics,
+    dynamics: LayerDynamics,
 ) -> None:
-    world = DeskLearnedWorld(dynamics, blur=1.0)
+    world = LayerWorld(dynamics, blur=1.0)
 
     class Anything:
         latent_dim = 2
@@ -271,7 +271,7 @@ def test_results_do_not_depend_on_the_number_of_threads(
         "sys.path.insert(0, 'tests')\n"
         "from test_desk_layers import *\n"
         "torch.set_num_threads(1)\n"
-        "world = DeskLearnedWorld(random_dynamics())\n"
+        "world = LayerWorld(random_dynamics())\n"
         "frames = frames_of(world, 4, seed=20)\n"
         "actions = actions_of((4, 150, 6, 3), seed=21)\n"
         "costs = world.rollout_costs(frames, frames, actions)\n"
@@ -282,7 +282,7 @@ def test_results_do_not_depend_on_the_number_of_threads(
     assert len(outputs_by_threads(program)) == 1
 
 
-def _arguments(dynamics: DeskDynamics) -> dict[str, Any]:
+def _arguments(dynamics: LayerDynamics) -> dict[str, Any]:
     """What the native world is made of."""
     made: dict[str, Any] = {}
 
@@ -293,7 +293,7 @@ def _arguments(dynamics: DeskDynamics) -> dict[str, Any]:
     native = hvf_core.LayerWorld
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(hvf_core, "LayerWorld", Recorded)
-        DeskLearnedWorld(dynamics)
+        LayerWorld(dynamics)
     native(**made)
     return made
 
@@ -341,7 +341,7 @@ def _with_nan(x: NDArray[np.float32]) -> NDArray[np.float32]:
     ],
 )
 def test_weights_that_do_not_fit_are_refused_by_name(
-    dynamics: DeskDynamics, name: str, change: Callable[[Any], Any]
+    dynamics: LayerDynamics, name: str, change: Callable[[Any], Any]
 ) -> None:
     arguments = _arguments(dynamics)
     arguments[name] = change(arguments[name])
@@ -361,9 +361,9 @@ def test_weights_that_do_not_fit_are_refused_by_name(
     ],
 )
 def test_frames_that_do_not_belong_together_are_refused(
-    dynamics: DeskDynamics, name: str, change: Callable[[Any], Any]
+    dynamics: LayerDynamics, name: str, change: Callable[[Any], Any]
 ) -> None:
-    native = DeskLearnedWorld(dynamics).native
+    native = LayerWorld(dynamics).native
     arguments = {
         "images": np.zeros((2, SIZE, SIZE, 3), np.uint8),
         "clean": np.zeros((2, SIZE, SIZE, 3), np.float32),
@@ -376,8 +376,8 @@ def test_frames_that_do_not_belong_together_are_refused(
         native.frames(**arguments)
 
 
-def test_bad_calls_are_refused_by_name(dynamics: DeskDynamics) -> None:
-    one, other = DeskLearnedWorld(dynamics), DeskLearnedWorld(dynamics)
+def test_bad_calls_are_refused_by_name(dynamics: LayerDynamics) -> None:
+    one, other = LayerWorld(dynamics), LayerWorld(dynamics)
     frames = frames_of(one, 2, seed=22)
     with pytest.raises(ValueError, match="starts: are frames of another world"):
         other.rollout_costs(frames, frames, actions_of((2, 3, 2, ACTION), 0))

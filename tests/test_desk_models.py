@@ -11,16 +11,17 @@ import pytest
 from rich.console import Console
 
 import hvf_core
-from hvf.data.store import EpisodeFile, Episodes, Metadata, write_episodes
+from hvf.data.episodes import Episodes, Metadata
+from hvf.data.formats.hdf5 import EpisodeFile, write_episodes
 
 torch = pytest.importorskip("torch")
 
 from hvf.evaluation.image_quality import perceptual_distance, psnr, ssim  # noqa: E402
-from hvf.models.cvae import CVAEConfig  # noqa: E402
+from hvf.models.vae import CVAEConfig  # noqa: E402
 from hvf.training.loop import LoopConfig  # noqa: E402
-from hvf.training.subgoals import DeskSubgoalTraining, train_subgoals  # noqa: E402
-from hvf.worlds.desk_learned import DeskLearnedWorld  # noqa: E402
-from hvf.worlds.learned import ImageSubgoals  # noqa: E402
+from hvf.training.recipes.vae import DeskSubgoalTraining, train_subgoals  # noqa: E402
+from hvf.worlds.keypoint import ImageSubgoals  # noqa: E402
+from hvf.worlds.layers import LayerWorld  # noqa: E402
 from layered_desk import random_dynamics  # noqa: E402
 
 SHORT = LoopConfig(steps=8, learning_rate=1e-3, validate_every=8, checkpoint_every=4)
@@ -39,7 +40,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_planner_searches_subgoals_in_learned_models(data: Path, tmp_path: Path) -> None:
-    world = DeskLearnedWorld(random_dynamics())
+    world = LayerWorld(random_dynamics())
     vae = CVAEConfig(
         image_size=(32, 32), conditional=False, channels=(4, 8), strides=(2, 2), latent_dim=3,
         posterior_layers=(8,), scene_layers=(), image_layers=(8,),

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import toy_desk as toy
-from hvf.models.desk.backdrop import Backdrop, BackdropConfig
-from hvf.models.desk.colours import Colours, ColoursConfig
-from hvf.models.desk.dynamics import DeskDynamicsConfig
-from hvf.models.desk.gallery import GalleryConfig
-from hvf.models.desk.perception import DeskPerception, DeskPerceptionConfig
 from hvf.models.frames import to_unit
+from hvf.models.layers.backdrop import Backdrop, BackdropConfig
+from hvf.models.layers.colours import Colours, ColoursConfig
+from hvf.models.layers.dynamics import LayerDynamicsConfig
+from hvf.models.layers.gallery import GalleryConfig
+from hvf.models.layers.perception import LayerPerception, LayerPerceptionConfig
 
-Toy = tuple[DeskPerception, toy.Floats]
+Toy = tuple[LayerPerception, toy.Floats]
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_other_numbers_of_parts_than_expected_are_an_error() -> None:
     frames = toy.frames_of(states.reshape(-1, 14)).reshape(toy.PLACES, 2, 32, 32, 3)
     config = dataclasses.replace(toy.TINY.perception, roaming=2)
     with pytest.raises(ValueError, match="frames: 3 parts roam, expected 2"):
-        DeskPerception(config).fit(frames[:, :2], frames)
+        LayerPerception(config).fit(frames[:, :2], frames)
 
 
 # ---- what slides, and the backdrop -------------------------------------------------------------
@@ -259,7 +259,7 @@ def test_sprites_reproduce_the_squares(toy_seen: Toy) -> None:
 
 
 def test_a_sprite_between_pixels_is_a_mean_of_its_neighbours() -> None:
-    perception = DeskPerception(dataclasses.replace(toy.TINY.perception, roaming=1))
+    perception = LayerPerception(dataclasses.replace(toy.TINY.perception, roaming=1))
     perception.sprites.copy_(torch.rand(1, 4, 9, 9))
     images = torch.zeros(5, 3, 32, 32)
     parts = torch.tensor([[10.0, 12.0], [10, 13], [11, 12], [11, 13], [10.25, 12.75]])
@@ -362,7 +362,7 @@ def test_the_arm_is_drawn_before_everything(toy_seen: Toy) -> None:
     perception, _ = toy_seen
     scenes = perception.scene(toy.frames_of(toy.scattered(np.random.default_rng(13), 3)))
     opacity, colour = torch.rand(3, 1, 32, 32), 0.1 * torch.rand(3, 3, 32, 32)
-    model = DeskPerception(toy.TINY.perception)
+    model = LayerPerception(toy.TINY.perception)
     model.load_state_dict(perception.state_dict())
     model.gallery.forward = lambda codes: (opacity, colour)  # type: ignore[method-assign]
     drawn = model.draw(scenes, scenes.states)
@@ -382,10 +382,10 @@ def test_the_arm_is_drawn_before_everything(toy_seen: Toy) -> None:
         (BackdropConfig, {"bins": (1, 4)}, "bins must be at least 2"),
         (GalleryConfig, {"places": (2, 2, 1)}, "places must be at least 2"),
         (GalleryConfig, {"patches": 2**15}, "patches must be from 1 to 32767"),
-        (DeskPerceptionConfig, {"roaming": 0}, "roaming must be at least 1"),
-        (DeskPerceptionConfig, {"sprite": 8}, "sprite must be odd"),
-        (DeskDynamicsConfig, {"hand_pixels": -1.0}, "hand_pixels must be positive"),
-        (DeskDynamicsConfig, {"slider_pixels": float("nan")}, "slider_pixels must be positive"),
+        (LayerPerceptionConfig, {"roaming": 0}, "roaming must be at least 1"),
+        (LayerPerceptionConfig, {"sprite": 8}, "sprite must be odd"),
+        (LayerDynamicsConfig, {"hand_pixels": -1.0}, "hand_pixels must be positive"),
+        (LayerDynamicsConfig, {"slider_pixels": float("nan")}, "slider_pixels must be positive"),
     ],
 )
 def test_settings_out_of_range_are_named(

@@ -13,16 +13,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import toy_desk as toy
-from hvf.data.store import Episodes, Metadata, write_episodes
-from hvf.models.desk.perception import DeskPerception
-from hvf.training.desk_tracks import DeskSampler, DeskTracks, track
+from hvf.data.episodes import Episodes, Metadata
+from hvf.data.formats.hdf5 import write_episodes
+from hvf.models.layers.perception import LayerPerception
+from hvf.training.tracks.layers import LayerSampler, LayerTracks, track
 
 EPISODES, STEPS = 40, 30
 Floats = NDArray[np.float32]
 
 
 @pytest.fixture(scope="module")
-def perception() -> DeskPerception:
+def perception() -> LayerPerception:
     return toy.seen()[0]
 
 
@@ -34,8 +35,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def tracks(data: Path, perception: DeskPerception) -> DeskTracks:
-    return DeskTracks(data, perception, EPISODES)
+def tracks(data: Path, perception: LayerPerception) -> LayerTracks:
+    return LayerTracks(data, perception, EPISODES)
 
 
 # ---- hindsight ---------------------------------------------------------------------------------
@@ -119,14 +120,14 @@ def test_a_part_behind_the_arm_was_there_all_the_time() -> None:
 # ---- tracks of the toy -------------------------------------------------------------------------
 
 
-def parts_of(states: NDArray[np.floating], perception: DeskPerception) -> NDArray[np.float64]:
+def parts_of(states: NDArray[np.floating], perception: LayerPerception) -> NDArray[np.float64]:
     """Squares `[E, T+1, R, 3]` of the toy's states, in the perception's order."""
     flat = toy.as_seen(states.reshape(-1, 14).astype(np.float64), perception)[:, 5:]
     parts: NDArray[np.float64] = flat.double().numpy().reshape(*states.shape[:2], 3, 3)
     return parts
 
 
-def test_tracks_of_the_toy_are_true(tracks: DeskTracks, perception: DeskPerception) -> None:
+def test_tracks_of_the_toy_are_true(tracks: LayerTracks, perception: LayerPerception) -> None:
     actions, states = toy.make(0, EPISODES, STEPS)
     np.testing.assert_array_equal(tracks.actions, actions)
     true, found = parts_of(states, perception), tracks.truth[..., 5:].reshape(EPISODES, -1, 3, 3)
@@ -145,16 +146,16 @@ def test_tracks_of_the_toy_are_true(tracks: DeskTracks, perception: DeskPercepti
 
 
 def test_tracks_may_begin_anywhere_in_the_file(
-    data: Path, tracks: DeskTracks, perception: DeskPerception
+    data: Path, tracks: LayerTracks, perception: LayerPerception
 ) -> None:
-    some = DeskTracks(data, perception, 3, first=5)
+    some = LayerTracks(data, perception, 3, first=5)
     for name in ("states", "truth", "known", "actions", "mass"):
         np.testing.assert_allclose(
             getattr(some, name), getattr(tracks, name)[5:8], atol=1e-4, rtol=1e-5
         )
 
 
-def test_contacts_are_the_middles_of_steps_in_which_a_part_moves(tracks: DeskTracks) -> None:
+def test_contacts_are_the_middles_of_steps_in_which_a_part_moves(tracks: LayerTracks) -> None:
     hands, places = tracks.contacts()
     expected = []
     for e in range(EPISODES):
@@ -171,7 +172,7 @@ def test_contacts_are_the_middles_of_steps_in_which_a_part_moves(tracks: DeskTra
 
 
 @pytest.mark.parametrize("length", [1, 5, STEPS])
-def test_windows_of_pushed_and_slid_contain_such_events(tracks: DeskTracks, length: int) -> None:
+def test_windows_of_pushed_and_slid_contain_such_events(tracks: LayerTracks, length: int) -> None:
     pushed, slid = set(), set()
     for e in range(EPISODES):
         for t in range(STEPS + 1 - length):
@@ -189,14 +190,14 @@ def test_windows_of_pushed_and_slid_contain_such_events(tracks: DeskTracks, leng
     assert set(map(tuple, tracks.slid(length).tolist())) == slid
 
 
-def test_episodes_that_are_not_there_are_an_error(data: Path, perception: DeskPerception) -> None:
+def test_episodes_that_are_not_there_are_an_error(data: Path, perception: LayerPerception) -> None:
     for first, episodes in ((0, EPISODES + 1), (EPISODES - 2, 3), (1, 0), (3, -1)):
         with pytest.raises(ValueError, match=rf"episodes must be from 1 to {EPISODES - first}"):
-            DeskTracks(data, perception, episodes, first)
+            LayerTracks(data, perception, episodes, first)
 
 
 def test_frames_and_actions_of_another_kind_are_an_error(
-    tmp_path: Path, perception: DeskPerception
+    tmp_path: Path, perception: LayerPerception
 ) -> None:
     for size, actions, message in ((48, 3, "frames are"), (32, 2, "actions have 2 dimensions")):
         path = tmp_path / f"{size}-{actions}.h5"
@@ -205,13 +206,13 @@ def test_frames_and_actions_of_another_kind_are_an_error(
         metadata = Metadata("desk", {}, 0, 4, 2, {})
         write_episodes(path, metadata, Episodes(frames, moves, states))
         with pytest.raises(ValueError, match=message):
-            DeskTracks(path, perception, 2)
+            LayerTracks(path, perception, 2)
 
 
 # ---- stretches ---------------------------------------------------------------------------------
 
 
-def where_from(tracks: DeskTracks, actions: Floats) -> tuple[int, int]:
+def where_from(tracks: LayerTracks, actions: Floats) -> tuple[int, int]:
     """Episode and first frame of a stretch, told by its actions."""
     (episode, time), *others = np.argwhere((tracks.actions == actions[0]).all(axis=2))
     assert not others
@@ -220,10 +221,10 @@ def where_from(tracks: DeskTracks, actions: Floats) -> tuple[int, int]:
 
 @pytest.mark.parametrize(("step", "count", "length"), [(0, 36, 2), (4, 36, 2), (5, 12, 6)])
 def test_batches_are_what_the_tracks_hold(
-    tracks: DeskTracks, step: int, count: int, length: int
+    tracks: LayerTracks, step: int, count: int, length: int
 ) -> None:
-    batch = DeskSampler(tracks, 12, 6, short_steps=5, seed=3).batch(step)
-    again = DeskSampler(tracks, 12, 6, short_steps=5, seed=3).batch(step)
+    batch = LayerSampler(tracks, 12, 6, short_steps=5, seed=3).batch(step)
+    again = LayerSampler(tracks, 12, 6, short_steps=5, seed=3).batch(step)
     assert {name: tuple(x.shape) for name, x in batch.items()} == {
         "states": (count, length + 1, 14),
         "known": (count, length + 1, 3),
@@ -249,11 +250,11 @@ def test_batches_are_what_the_tracks_hold(
             assert known[0, r] == (0 if wrong else tracks.known[episode, time, r])
 
 
-def test_a_third_of_stretches_is_pushed_and_a_sixth_slides(tracks: DeskTracks) -> None:
+def test_a_third_of_stretches_is_pushed_and_a_sixth_slides(tracks: LayerTracks) -> None:
     pushed, slid = (
         set(map(tuple, events.tolist())) for events in (tracks.pushed(4), tracks.slid(4))
     )
-    sampler = DeskSampler(tracks, 60, 4, short_steps=0, seed=1)
+    sampler = LayerSampler(tracks, 60, 4, short_steps=0, seed=1)
     for step in range(3):
         actions = sampler.batch(step)["actions"].numpy()
         found = [where_from(tracks, some) for some in actions]
@@ -264,13 +265,13 @@ def test_a_third_of_stretches_is_pushed_and_a_sixth_slides(tracks: DeskTracks) -
         assert len(set(found[30:])) > 20
 
 
-def test_without_events_all_stretches_are_drawn_from_everything(tracks: DeskTracks) -> None:
+def test_without_events_all_stretches_are_drawn_from_everything(tracks: LayerTracks) -> None:
     still = copy.copy(tracks)
     still.known = np.zeros_like(tracks.known)
     still.truth = tracks.truth.copy()
     still.truth[..., 3:5] = 0.5
     assert len(still.pushed(3)) == len(still.slid(3)) == 0
-    batch = DeskSampler(still, 200, 3, short_steps=0, seed=2).batch(0)
+    batch = LayerSampler(still, 200, 3, short_steps=0, seed=2).batch(0)
     episodes = [where_from(tracks, actions)[0] for actions in batch["actions"].numpy()]
     assert len(set(episodes)) == EPISODES
 
@@ -284,7 +285,7 @@ def test_without_events_all_stretches_are_drawn_from_everything(tracks: DeskTrac
     ],
 )
 def test_stretches_out_of_range_are_named(
-    tracks: DeskTracks, windows: int, length: int, message: str
+    tracks: LayerTracks, windows: int, length: int, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        DeskSampler(tracks, windows, length, 0, 0)
+        LayerSampler(tracks, windows, length, 0, 0)

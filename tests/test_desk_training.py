@@ -15,20 +15,21 @@ from rich.console import Console
 from torch import nn
 
 import toy_desk as toy
+from hvf.data.episodes import Episodes, Metadata
+from hvf.data.formats.hdf5 import EpisodeFile, write_episodes
 from hvf.data.loader import EpisodePool, WindowSampler
-from hvf.data.store import EpisodeFile, Episodes, Metadata, write_episodes
 from hvf.models.checkpoint import load_model, read_tensors
-from hvf.models.desk.dynamics import DeskDynamics
-from hvf.models.desk.perception import DeskPerception
+from hvf.models.layers.dynamics import LayerDynamics
+from hvf.models.layers.perception import LayerPerception
 from hvf.training import desk_dynamics
-from hvf.training.desk_dynamics import (
-    DeskDynamicsTraining,
-    train_desk_dynamics,
-    validate_arm,
-    validate_desk_dynamics,
-)
-from hvf.training.desk_tracks import DeskSampler, DeskTracks
 from hvf.training.loop import LoopConfig
+from hvf.training.recipes.layers import (
+    LayersTraining,
+    train_layers,
+    validate_arm,
+    validate_layers,
+)
+from hvf.training.tracks.layers import LayerSampler, LayerTracks
 
 EPISODES, STEPS = 60, 20
 SHORT = LoopConfig(
@@ -58,11 +59,11 @@ def few_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
 def train(data: Path, out: Path, **settings: Any) -> str:
     """Train a tiny model; returns what was said."""
     said = io.StringIO()
-    config = DeskDynamicsTraining(
+    config = LayersTraining(
         data, out, arm_batch=4, windows=4, length=3, short_steps=4, model=toy.TINY,
         arm_loop=SHORT, loop=SHORT,
     )  # fmt: skip
-    train_desk_dynamics(dataclasses.replace(config, **settings), Console(file=said, width=300))
+    train_layers(dataclasses.replace(config, **settings), Console(file=said, width=300))
     return said.getvalue()
 
 
@@ -86,7 +87,7 @@ def whole(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("sampler", "steps"), [(WindowSampler, "perception at 4"), (DeskSampler, "cell at 4")]
+    ("sampler", "steps"), [(WindowSampler, "perception at 4"), (LayerSampler, "cell at 4")]
 )
 def test_training_that_died_goes_on_to_the_same_result(
     data: Path,
@@ -121,15 +122,15 @@ def test_a_finished_training_is_not_done_again(data: Path, whole: Path) -> None:
 
 
 def test_training_the_cell_leaves_perception_as_it_was(whole: Path) -> None:
-    model = load_model(whole / "model.safetensors", DeskDynamics, environment="desk")
-    seen = load_model(whole / "perception/model.safetensors", DeskPerception, environment="desk")
+    model = load_model(whole / "model.safetensors", LayerDynamics, environment="desk")
+    seen = load_model(whole / "perception/model.safetensors", LayerPerception, environment="desk")
     for name, tensor in seen.state_dict().items():
         if not name.startswith("gallery"):
             assert torch.equal(model.perception.state_dict()[name], tensor), name
     # The gallery comes last, when the arm's encoder is trained.
     assert int((model.perception.gallery.index > 0).sum()) > 10
     assert not seen.gallery.index.any()
-    fresh = DeskDynamics(toy.TINY).cell.state_dict()
+    fresh = LayerDynamics(toy.TINY).cell.state_dict()
     assert not model.cell.state_dict()["contact"].equal(fresh["contact"])
 
 
@@ -143,7 +144,7 @@ def test_another_run_is_not_gone_on_with(data: Path, whole: Path) -> None:
 def test_training_runs_on_cuda(data: Path, tmp_path: Path) -> None:
     loop = dataclasses.replace(SHORT, device="cuda")
     train(data, tmp_path, arm_loop=loop, loop=loop)
-    load_model(tmp_path / "model.safetensors", DeskDynamics, environment="desk")
+    load_model(tmp_path / "model.safetensors", LayerDynamics, environment="desk")
 
 
 # ---- what is learned ---------------------------------------------------------------------------
@@ -152,14 +153,14 @@ def test_training_runs_on_cuda(data: Path, tmp_path: Path) -> None:
 def test_the_cell_learns_how_the_hand_moves_and_is_held_back(data: Path) -> None:
     perception, _ = toy.seen()
     _, states = toy.make(0, EPISODES, STEPS)
-    tracks = DeskTracks(data, perception, EPISODES)
+    tracks = LayerTracks(data, perception, EPISODES)
     for seen in (tracks.states, tracks.truth):
         seen[..., :3] = states[..., :3]
     torch.manual_seed(0)
-    model = DeskDynamics(toy.TINY).freeze_perception(perception)
+    model = LayerDynamics(toy.TINY).freeze_perception(perception)
     hands, places = tracks.contacts()
     model.fit_contact(torch.from_numpy(hands), torch.from_numpy(places))
-    sampler = DeskSampler(tracks, 64, 4, 100, seed=1)
+    sampler = LayerSampler(tracks, 64, 4, 100, seed=1)
     optimiser = torch.optim.Adam(model.cell.parameters(), 1e-2)
     for step in range(130):
         loss, _ = model.loss(sampler.batch(step), torch.Generator(), step)
@@ -197,14 +198,14 @@ def test_a_model_in_which_nothing_moves_errs_by_what_moves(
     data: Path, held_out: EpisodePool
 ) -> None:
     perception, _ = toy.seen()
-    model = DeskDynamics(toy.TINY).freeze_perception(perception).requires_grad_(False).eval()
+    model = LayerDynamics(toy.TINY).freeze_perception(perception).requires_grad_(False).eval()
     for network in (model.cell.hand, model.cell.parts, *model.cell.sliders):
         for layer in network.modules():
             if isinstance(layer, nn.Linear):
                 layer.weight.zero_()
                 layer.bias.zero_()
     with torch.inference_mode():
-        found = validate_desk_dynamics(model, held_out).metrics
+        found = validate_layers(model, held_out).metrics
         first = perception.observe(torch.from_numpy(held_out.frames[:, 0]))
         last = perception.observe(torch.from_numpy(held_out.frames[:, 15]))
     for guess, still in (
@@ -288,4 +289,4 @@ def test_episodes_too_short_to_tell_what_slides_are_an_error(tmp_path: Path) -> 
 )
 def test_settings_out_of_range_are_named(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        DeskDynamicsTraining(Path("none.h5"), **settings)
+        LayersTraining(Path("none.h5"), **settings)

@@ -17,8 +17,8 @@ from hypothesis.extra import numpy as hnp
 
 import hvf_core
 from hvf.envs import MAZE_ID, register_envs
-from hvf.envs.maze import MazeEnv
-from hvf.envs.maze_vector import MazeVectorEnv
+from hvf.envs.maze.env import MazeEnv
+from hvf.envs.maze.vector import MazeVectorEnv
 
 
 def complaints(caught: list[warnings.WarningMessage]) -> list[str]:
@@ -195,7 +195,7 @@ def test_pictures_show_scene_and_goal() -> None:
 def test_human_mode_draws_every_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     pygame = pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setattr("hvf.envs.maze.RENDER_FPS", 1000)
+    monkeypatch.setattr("hvf.envs.maze.env.RENDER_FPS", 1000)
     env = gymnasium.make(MAZE_ID, render_mode="human")
     env.reset(seed=0)
     shown = pygame.surfarray.array3d(pygame.display.get_surface()).transpose(1, 0, 2)

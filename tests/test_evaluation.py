@@ -18,15 +18,17 @@ from hypothesis import strategies as st
 from rich.progress import Progress
 
 import hvf_core
+from hvf.agents.planning import NoSubgoals, PlanningAgent
 from hvf.cli import main
 from hvf.cli.plan import how_it_went, watch
+from hvf.domains.maze import MazeTrials
 from hvf.evaluation import Acting, Decision, MazeEvaluation, MazePlanning, Outcome, Trial, act
 from hvf.evaluation.acting import derived_seed
-from hvf.evaluation.agents import NoSubgoals, PlanningAgent, Replanning
-from hvf.evaluation.evaluate import evaluate, load, wilson_interval
-from hvf.evaluation.maze import MazeTrials
 from hvf.evaluation.pictures import save_film, save_strip
 from hvf.evaluation.recording import record
+from hvf.evaluation.run import evaluate, load
+from hvf.evaluation.statistics import wilson_interval
+from hvf.settings import Replanning
 
 CHEAP = {"samples": 30, "elites": 6, "iterations": 2, "subgoal_samples": 12, "subgoal_elites": 4}
 

@@ -14,13 +14,13 @@ import hvf_core
 
 torch = pytest.importorskip("torch")
 
-from hvf.models.cell import Cell, CellConfig  # noqa: E402
 from hvf.models.frames import to_unit  # noqa: E402
-from hvf.models.keypoint_dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
-from hvf.models.keypoint_generator import GeneratorConfig, KeypointGenerator  # noqa: E402
-from hvf.models.keypoint_perception import KeypointPerception, PerceptionConfig  # noqa: E402
+from hvf.models.keypoint.cell import Cell, CellConfig  # noqa: E402
+from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
+from hvf.models.keypoint.generator import GeneratorConfig, KeypointGenerator  # noqa: E402
+from hvf.models.keypoint.perception import KeypointPerception, PerceptionConfig  # noqa: E402
 from hvf.worlds import MazeWorldConfig, load_maze  # noqa: E402
-from hvf.worlds.learned import KeypointSubgoals, LearnedWorld  # noqa: E402
+from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def actions_of(shape: tuple[int, ...], seed: int) -> np.ndarray:
 
 
 def test_rollouts_in_rust_are_those_of_torch(dynamics, frames):
-    world = LearnedWorld(dynamics)
+    world = KeypointWorld(dynamics)
     observed = world.observe(frames)
     actions = actions_of((2, 37, 6, 2), 0)
     starts = observed[np.array([2, 5])]
@@ -92,7 +92,7 @@ def test_patches_are_bilinear_interpolation_of_a_scene_whose_border_goes_on():
 @pytest.mark.parametrize("blur", [0.0, 2.5])
 @pytest.mark.parametrize("over_horizon", ["last", "sum", "min"])
 def test_costs_in_closed_form_are_those_of_drawn_frames(dynamics, frames, blur, over_horizon):
-    world = LearnedWorld(dynamics, blur, over_horizon)
+    world = KeypointWorld(dynamics, blur, over_horizon)
     observed = world.observe(frames)
     starts, goals = observed[np.array([0, 1])], observed[np.array([3, 4])]
     actions = actions_of((2, 5, 4, 2), 1)
@@ -118,7 +118,7 @@ def test_costs_in_closed_form_are_those_of_drawn_frames(dynamics, frames, blur, 
 def test_a_subgoal_search_in_the_learned_world_does_not_depend_on_the_exact_savings(
     dynamics, frames
 ):
-    world = LearnedWorld(dynamics, blur=2.0)
+    world = KeypointWorld(dynamics, blur=2.0)
     generator = KeypointSubgoals(KeypointGenerator(GeneratorConfig(scene_dim=5)), world)
     mpc = hvf_core.VisualMPC(horizon=3, samples=32, elites=8, iterations=2)
     results = []
@@ -162,7 +162,7 @@ def test_perception_finds_what_moves_from_unlabelled_pairs():
 
 
 def test_generated_subgoals_are_the_scene_with_the_sprite_moved(dynamics, frames):
-    world = LearnedWorld(dynamics)
+    world = KeypointWorld(dynamics)
     generator = KeypointSubgoals(KeypointGenerator(GeneratorConfig(scene_dim=5)), world)
     scene = world.observe(frames[:1])
     latents = np.random.default_rng(0).standard_normal((4, 2, 8)).astype(np.float32)
@@ -237,7 +237,7 @@ def test_weights_that_do_not_fit_are_refused_by_name(change, message):
 def test_frames_that_do_not_belong_together_are_refused(
     dynamics, count, keypoint_rows, map_rows, map_size, bad
 ):
-    world = LearnedWorld(dynamics).native
+    world = KeypointWorld(dynamics).native
     images = np.zeros((count, 64, 64, 3), np.uint8)
     keypoints = np.zeros((keypoint_rows, 2), np.float32)
     maps = np.zeros((map_rows, map_size, map_size), np.float32)
@@ -257,13 +257,13 @@ def test_frames_that_do_not_belong_together_are_refused(
 
 
 def test_frames_of_another_world_are_refused(dynamics, frames):
-    one, other = LearnedWorld(dynamics), LearnedWorld(dynamics)
+    one, other = KeypointWorld(dynamics), KeypointWorld(dynamics)
     with pytest.raises(ValueError, match="another world"):
         one.native.rollout(other.observe(frames[:1]), actions_of((1, 3, 2, 2), 0))
 
 
 def test_images_of_another_size_are_refused(dynamics):
-    world = LearnedWorld(dynamics)
+    world = KeypointWorld(dynamics)
     with pytest.raises(ValueError, match="images"):
         world.observe(np.zeros((1, 32, 32, 3), np.uint8))
     with pytest.raises(TypeError, match="uint8"):

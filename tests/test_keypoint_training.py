@@ -18,25 +18,25 @@ from hvf.worlds import MazeWorldConfig, load_maze
 
 torch = pytest.importorskip("torch")
 
-from hvf.models.cvae import CVAE, CVAEConfig  # noqa: E402
 from hvf.models.frames import to_unit  # noqa: E402
-from hvf.models.keypoint_dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
-from hvf.models.scene_code import SceneCode  # noqa: E402
+from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
+from hvf.models.keypoint.scene_code import SceneCode  # noqa: E402
 from hvf.models.temporal_distance import TemporalDistance, TemporalDistanceConfig  # noqa: E402
-from hvf.training.dynamics import DynamicsTraining, train_dynamics  # noqa: E402
-from hvf.training.keypoint_generator import (  # noqa: E402
+from hvf.models.vae import CVAE, CVAEConfig  # noqa: E402
+from hvf.training.loop import LoopConfig  # noqa: E402
+from hvf.training.recipes.keypoint import DynamicsTraining, train_dynamics  # noqa: E402
+from hvf.training.recipes.keypoint_generator import (  # noqa: E402
     GeneratorTraining,
     train_keypoint_generator,
 )
-from hvf.training.loop import LoopConfig  # noqa: E402
-from hvf.training.temporal_distance import (  # noqa: E402
+from hvf.training.recipes.temporal_distance import (  # noqa: E402
     PairSampler,
     TemporalDistanceTraining,
     train_temporal_distance,
 )
-from hvf.training.transitions import Transitions, TransitionSampler  # noqa: E402
-from hvf.worlds.distances import DistanceWorld, LatentDistance, StepsDistance  # noqa: E402
-from hvf.worlds.learned import LearnedWorld  # noqa: E402
+from hvf.training.tracks.keypoints import Transitions, TransitionSampler  # noqa: E402
+from hvf.worlds.costs import DistanceWorld, LatentDistance, StepsDistance  # noqa: E402
+from hvf.worlds.keypoint import KeypointWorld  # noqa: E402
 
 SHORT = LoopConfig(
     steps=8, learning_rate=1e-3, validate_every=8, checkpoint_every=4, precision="float32"
@@ -159,7 +159,7 @@ def test_pairs_are_as_many_steps_apart_as_they_say() -> None:
 
 def test_latent_distance_is_between_posterior_means_of_drawn_frames() -> None:
     torch.manual_seed(1)
-    world = LearnedWorld(KeypointDynamics(DynamicsConfig()))
+    world = KeypointWorld(KeypointDynamics(DynamicsConfig()))
     cvae = CVAE(CVAEConfig()).eval()
     distances = DistanceWorld(world, LatentDistance(cvae, world), "sum")
     images = hvf_core.maze_collect(5, 0, 4, 1)[0][:, 0]
@@ -184,7 +184,7 @@ def test_latent_distance_is_between_posterior_means_of_drawn_frames() -> None:
 
 def test_temporal_distance_is_the_expected_class() -> None:
     torch.manual_seed(2)
-    world = LearnedWorld(KeypointDynamics(DynamicsConfig()))
+    world = KeypointWorld(KeypointDynamics(DynamicsConfig()))
     model = TemporalDistance(TemporalDistanceConfig(classes=4)).eval()
     frames = world.observe(hvf_core.maze_collect(5, 0, 2, 1)[0][:, 0])
     start, goal = frames[np.array([0])], frames[np.array([1])]

@@ -10,7 +10,7 @@ import pytest
 
 from hvf.cli import main
 from hvf.evaluation import MazeEvaluation
-from hvf.evaluation.evaluate import Report, TrialRecord, save
+from hvf.evaluation.run import Report, TrialRecord, save
 from hvf.evaluation.task import AgentName
 
 NO_WEIGHTS: dict[str, str] = {}

@@ -20,7 +20,7 @@ from PIL import Image
 from rich.console import Console
 from safetensors.torch import save_file
 
-from hvf.atomic import replacing, write_bytes
+from hvf.files import replacing, write_bytes
 from hvf.models.checkpoint import (
     config_from_json,
     load_model,

@@ -5,7 +5,7 @@ three coloured squares. An arm, a white bar from the lower edge up to a disc, mo
 action, up to borders. A square that the disc comes upon is pushed, and is gone when it leaves on
 the left; door and drawer go along with the disc where it touches them.
 
-States are those of :mod:`hvf.models.desk.perception`: hand (row, column and height, in full
+States are those of :mod:`hvf.models.layers.perception`: hand (row, column and height, in full
 actions), door and drawer (0 to 1), and row, column (pixels) and presence of each square.
 
 Letters in shapes: `N` frames, `E` episodes, `T` steps, `S` = 32 image size, `X` = 14.
@@ -22,14 +22,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hvf.data.store import Episodes, Metadata, write_episodes
-from hvf.models.desk.arm import ArmConfig
-from hvf.models.desk.backdrop import BackdropConfig
-from hvf.models.desk.cell import CellConfig
-from hvf.models.desk.colours import ColoursConfig
-from hvf.models.desk.dynamics import DeskDynamicsConfig
-from hvf.models.desk.gallery import GalleryConfig
-from hvf.models.desk.perception import DeskPerception, DeskPerceptionConfig
+from hvf.data.episodes import Episodes, Metadata
+from hvf.data.formats.hdf5 import write_episodes
+from hvf.models.layers.arm import ArmConfig
+from hvf.models.layers.backdrop import BackdropConfig
+from hvf.models.layers.cell import CellConfig
+from hvf.models.layers.colours import ColoursConfig
+from hvf.models.layers.dynamics import LayerDynamicsConfig
+from hvf.models.layers.gallery import GalleryConfig
+from hvf.models.layers.perception import LayerPerception, LayerPerceptionConfig
 
 SIZE = 32
 SQUARE = 5.0
@@ -47,8 +48,8 @@ _REACH = np.array([[-1.75, -2.4, -1.0], [3.0, 2.6, 1.0]])
 _WHITE = (235, 235, 230)
 _TOUCH = 4.0
 
-TINY = DeskDynamicsConfig(
-    perception=DeskPerceptionConfig(
+TINY = LayerDynamicsConfig(
+    perception=LayerPerceptionConfig(
         colours=ColoursConfig(image_size=SIZE, parts=5),
         backdrop=BackdropConfig(bins=(DOOR_WAY + 1, DRAWER_WAY + 1)),
         arm=ArmConfig(channels=(4, 8), hidden=16, features=12, patch_rank=6),
@@ -87,7 +88,7 @@ def frames_of(states: Floats, arm: bool = True, squares: bool = True) -> Tensor:
 
 
 @functools.cache
-def seen() -> tuple[DeskPerception, Floats]:
+def seen() -> tuple[LayerPerception, Floats]:
     """A perception of the toy with everything but the arm, and the states that it is taken from.
 
     Made once for all tests: leave it as it is.
@@ -95,20 +96,20 @@ def seen() -> tuple[DeskPerception, Floats]:
     states = jumbled(0, 2 * PLACES, 12)
     frames = frames_of(states.reshape(-1, 14)).reshape(*states.shape[:2], SIZE, SIZE, 3)
     torch.manual_seed(0)
-    perception = DeskPerception(TINY.perception)
+    perception = LayerPerception(TINY.perception)
     with torch.inference_mode():
         perception.fit(frames[:, :2], frames)
     return perception.eval().requires_grad_(False), states
 
 
-def squares_in(perception: DeskPerception) -> list[int]:
+def squares_in(perception: LayerPerception) -> list[int]:
     """For each part that roams, in the perception's order, the number of the square that it is."""
     chroma = perception.colours.colours[perception.colours.roams]
     true = torch.tensor(SQUARES) / 255 @ perception.colours.chroma_of
     return [int(i) for i in torch.cdist(chroma, true).argmin(dim=1)]
 
 
-def as_seen(states: Floats, perception: DeskPerception) -> Tensor:
+def as_seen(states: Floats, perception: LayerPerception) -> Tensor:
     """States float32 `[N, X]` with the squares in the perception's order."""
     squares = states[:, 5:].reshape(-1, 3, 3)[:, squares_in(perception)].reshape(len(states), -1)
     return torch.from_numpy(np.concatenate([states[:, :5], squares], axis=1)).float()

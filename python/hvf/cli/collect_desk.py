@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from hvf.data.desk import DeskCollectConfig, collect_desk
+from hvf.domains.desk.collection import DeskCollectConfig, collect_desk
 
 
 def desk(config: Annotated[DeskCollectConfig, tyro.conf.arg(name="")]) -> None:

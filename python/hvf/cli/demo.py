@@ -13,7 +13,7 @@ from rich.progress import Progress
 
 from hvf.cli.plan import how_it_went, watch
 from hvf.cli.presets import begin_with_preset as prepare
-from hvf.evaluation.maze import MazeEvaluation, Preset
+from hvf.domains.maze import MazeEvaluation, Preset
 from hvf.evaluation.task import AgentName
 
 if TYPE_CHECKING:
@@ -80,8 +80,8 @@ def show(
         config: how many, and where.
         title: of the table.
     """
-    from hvf.evaluation.evaluate import Report, provenance, records, save, table
     from hvf.evaluation.pictures import save_film, save_strip
+    from hvf.evaluation.run import Report, provenance, records, save, table
 
     console = Console()
     reports: list[Report] = []

@@ -11,8 +11,8 @@ import tyro
 
 from hvf.cli.demo import Shown, show
 from hvf.cli.presets import begin_with_preset as prepare
+from hvf.domains.desk.trials import DeskEvaluation, DeskTask, Preset
 from hvf.envs.desk.pool import DeskPool
-from hvf.evaluation.desk import DeskEvaluation, DeskTask, Preset
 from hvf.evaluation.task import AgentName
 
 __all__ = ["desk", "prepare"]

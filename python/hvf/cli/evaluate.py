@@ -11,8 +11,8 @@ import tyro
 from rich.console import Console
 
 from hvf.cli.presets import begin_with_preset as prepare
-from hvf.evaluation.evaluate import Task, evaluate, table
-from hvf.evaluation.maze import MazeEvaluation, Preset
+from hvf.domains.maze import MazeEvaluation, Preset
+from hvf.evaluation.run import Task, evaluate, table
 
 __all__ = ["EvalMaze", "Measured", "maze", "measure", "prepare"]
 

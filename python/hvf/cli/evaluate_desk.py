@@ -9,7 +9,7 @@ import tyro
 
 from hvf.cli.evaluate import Measured, measure
 from hvf.cli.presets import begin_with_preset as prepare
-from hvf.evaluation.desk import DeskEvaluation, DeskTask, Preset
+from hvf.domains.desk.trials import DeskEvaluation, DeskTask, Preset
 
 __all__ = ["desk", "prepare"]
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from hvf.cli.presets import begin_with_preset as prepare
-from hvf.evaluation.maze import MazeEvaluation, Preset
+from hvf.domains.maze import MazeEvaluation, Preset
 
 if TYPE_CHECKING:
     from hvf.evaluation.acting import Indices, Outcome

@@ -9,7 +9,7 @@ import tyro
 
 from hvf.cli.plan import Drawn, draw
 from hvf.cli.presets import begin_with_preset as prepare
-from hvf.evaluation.desk import DeskEvaluation, DeskTask, Preset
+from hvf.domains.desk.trials import DeskEvaluation, DeskTask, Preset
 
 __all__ = ["desk", "prepare"]
 

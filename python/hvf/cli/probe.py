@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from hvf.evaluation.desk_models import DeskModelProbe, probe_desk
+from hvf.evaluation.prediction import DeskModelProbe, probe_desk
 
 
 def desk(config: Annotated[DeskModelProbe, tyro.conf.arg(name="")]) -> None:

@@ -9,8 +9,8 @@ from typing import Annotated, Any, NamedTuple, TypeAlias, get_args
 
 import tyro
 
-from hvf.evaluation.evaluate import Report, load
-from hvf.evaluation.maze import Difficulty, MazeEvaluation
+from hvf.domains.maze import Difficulty, MazeEvaluation
+from hvf.evaluation.run import Report, load
 from hvf.evaluation.task import AGENTS, TEST_SEED, AgentName, Evaluation, agent_name
 
 Published: TypeAlias = Mapping[tuple[AgentName, int], Mapping[str, float]]

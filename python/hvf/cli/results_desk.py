@@ -9,8 +9,8 @@ from typing import Annotated
 import tyro
 
 from hvf.cli.results import Layout, markdown, read
+from hvf.domains.desk.trials import DeskEvaluation
 from hvf.envs.desk.tasks import TASKS
-from hvf.evaluation.desk import DeskEvaluation
 
 # The paper's desk results are in a bar chart only.
 DESK = Layout("desk", "task", TASKS, DeskEvaluation)

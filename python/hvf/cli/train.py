@@ -6,16 +6,16 @@ from typing import Annotated
 
 import tyro
 
-from hvf.training.desk_dynamics import (
-    DeskDynamicsTraining,
-    LargeDeskDynamicsTraining,
-    train_desk_dynamics,
+from hvf.training.recipes.keypoint import DynamicsTraining, train_dynamics
+from hvf.training.recipes.keypoint_generator import GeneratorTraining, train_keypoint_generator
+from hvf.training.recipes.layers import (
+    LargeLayersTraining,
+    LayersTraining,
+    train_layers,
 )
-from hvf.training.desk_generator import DeskGeneratorTraining, train_desk_generator
-from hvf.training.dynamics import DynamicsTraining, train_dynamics
-from hvf.training.keypoint_generator import GeneratorTraining, train_keypoint_generator
-from hvf.training.subgoals import DeskSubgoalTraining, SubgoalTraining, train_subgoals
-from hvf.training.temporal_distance import TemporalDistanceTraining, train_temporal_distance
+from hvf.training.recipes.layers_generator import LayersGeneratorTraining, train_layers_generator
+from hvf.training.recipes.temporal_distance import TemporalDistanceTraining, train_temporal_distance
+from hvf.training.recipes.vae import DeskSubgoalTraining, SubgoalTraining, train_subgoals
 
 
 def dynamics(config: Annotated[DynamicsTraining, tyro.conf.arg(name="")]) -> None:
@@ -26,30 +26,30 @@ def dynamics(config: Annotated[DynamicsTraining, tyro.conf.arg(name="")]) -> Non
     train_dynamics(config)
 
 
-def desk_dynamics(config: Annotated[DeskDynamicsTraining, tyro.conf.arg(name="")]) -> None:
+def desk_dynamics(config: Annotated[LayersTraining, tyro.conf.arg(name="")]) -> None:
     """Train the compact dynamics model of the Franka desk.
 
     Ctrl-C stops; the same command goes on from there.
     """
-    train_desk_dynamics(config)
+    train_layers(config)
 
 
 def desk_dynamics_large(
-    config: Annotated[LargeDeskDynamicsTraining, tyro.conf.arg(name="")],
+    config: Annotated[LargeLayersTraining, tyro.conf.arg(name="")],
 ) -> None:
     """Train the compact dynamics model of the Franka desk at a size for a GPU.
 
     Ctrl-C stops; the same command goes on from there.
     """
-    train_desk_dynamics(config)
+    train_layers(config)
 
 
-def desk_generator(config: Annotated[DeskGeneratorTraining, tyro.conf.arg(name="")]) -> None:
+def desk_generator(config: Annotated[LayersGeneratorTraining, tyro.conf.arg(name="")]) -> None:
     """Train the generator of subgoals that draws states of the Franka desk.
 
     Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
     """
-    train_desk_generator(config)
+    train_layers_generator(config)
 
 
 def subgoals(config: Annotated[SubgoalTraining, tyro.conf.arg(name="")]) -> None:

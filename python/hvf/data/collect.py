@@ -21,8 +21,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 import hvf_core
-from hvf.atomic import replacing
-from hvf.data.store import EpisodeFile, Episodes, Metadata, join_files, write_episodes
+from hvf.data.episodes import Episodes, Metadata
+from hvf.data.formats.hdf5 import EpisodeFile, join_files, write_episodes
+from hvf.files import replacing
 
 # (seed, first episode, number of episodes, steps) to episodes.
 Rollouts = Callable[[int, int, int, int], Episodes]

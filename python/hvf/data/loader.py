@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hvf.data.store import EpisodeFile
+from hvf.data.formats.hdf5 import EpisodeFile
 
 Split = Literal["train", "validation"]
 

@@ -20,8 +20,8 @@ def register_envs() -> None:
         return
     gymnasium.register(
         id=MAZE_ID,
-        entry_point="hvf.envs.maze:MazeEnv",
-        vector_entry_point="hvf.envs.maze_vector:MazeVectorEnv",
+        entry_point="hvf.envs.maze.env:MazeEnv",
+        vector_entry_point="hvf.envs.maze.vector:MazeVectorEnv",
         max_episode_steps=MAZE_MAX_STEPS,
     )
     # Episodes end after the task's own number of steps, so the environment counts them itself.

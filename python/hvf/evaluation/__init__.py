@@ -1,8 +1,10 @@
 """Agents, the loop they act in, and success rates."""
 
-from hvf.evaluation.acting import Acting, Agent, Decision, Outcome, Trial, Trials, act
-from hvf.evaluation.evaluate import Report, evaluate, wilson_interval
-from hvf.evaluation.maze import MazeEvaluation, MazePlanning, MazeTrials
+from hvf.domains.maze import MazeEvaluation, MazePlanning, MazeTrials
+from hvf.evaluation.acting import Agent, Decision, Outcome, Trial, Trials, act
+from hvf.evaluation.run import Report, evaluate
+from hvf.evaluation.statistics import wilson_interval
+from hvf.settings import Acting
 
 __all__ = [
     "Acting",

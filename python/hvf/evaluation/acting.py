@@ -16,12 +16,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 import hvf_core
+from hvf.settings import Acting
 
 Images = NDArray[np.uint8]
 Indices = NDArray[np.int64]
@@ -81,40 +82,6 @@ class Agent(Protocol):
     ) -> Decision:
         """Decide for the trials ``which``: from ``observations[N]`` towards ``targets[N]``."""
         ...
-
-
-@dataclass(frozen=True)
-class Acting:
-    """When to go on to the next subgoal, and when to stop.
-
-    Attributes:
-        steps: steps of a trial, ``T``.
-        steps_per_subgoal: most steps towards one subgoal, ``T*``.
-        threshold: cost below which a subgoal counts as reached; 0 never.
-        reached: which cost that is: ``"observed"``, the pixel cost of the observation to the
-            subgoal; or ``"planned"``, the predicted cost of the plan to it.
-        reached_blur: standard deviation, pixels, of a Gaussian blur through which observation
-            and subgoal are compared; 0 for none.
-    """
-
-    steps: int = 50
-    steps_per_subgoal: int = 10
-    threshold: float = 1e-3
-    reached: Literal["observed", "planned"] = "observed"
-    reached_blur: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "steps_per_subgoal"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: must be at least 1, got {getattr(self, name)}")
-        if not self.threshold >= 0:
-            raise ValueError(f"threshold: must not be negative, got {self.threshold}")
-        if not 0 <= self.reached_blur < np.inf:
-            raise ValueError(
-                f"reached_blur: must be finite and not negative, got {self.reached_blur}"
-            )
-        if self.reached not in ("observed", "planned"):
-            raise ValueError(f"reached: must be 'observed' or 'planned', got {self.reached!r}")
 
 
 @dataclass(frozen=True)

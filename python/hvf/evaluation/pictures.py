@@ -13,8 +13,8 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from hvf.atomic import replacing
 from hvf.evaluation.recording import Episode
+from hvf.files import replacing
 
 _PATH = "#ff7043"
 _TARGET = "#ffd54f"

@@ -14,8 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar, Generic, Literal, TypeAlias, TypeVar, get_args
 
-from hvf.evaluation.acting import Acting, Outcome, Trials, act, derived_seed
-from hvf.evaluation.agents import (
+from hvf.agents.planning import (
     NoSubgoals,
     PlanningAgent,
     RandomAgent,
@@ -23,8 +22,9 @@ from hvf.evaluation.agents import (
     SubgoalSource,
     TrueSubgoals,
 )
-from hvf.evaluation.planning import Planning
+from hvf.evaluation.acting import Outcome, Trials, act, derived_seed
 from hvf.protocols import SubgoalModel, WorldModel
+from hvf.settings import Acting, Planning
 
 TEST_SEED = 1_000_000_007
 """Seed of the episodes that results are reported on. Settings were chosen on
@@ -117,7 +117,7 @@ def agent_name(agent: AgentName, subgoals: int) -> str:
 
 
 class EpisodeTask(abc.ABC, Generic[SomeTrials]):
-    """An evaluation with its world loaded; see :class:`hvf.evaluation.evaluate.Task`.
+    """An evaluation with its world loaded; see :class:`hvf.evaluation.run.Task`.
 
     Close it, or use it in a ``with`` block.
 
@@ -127,7 +127,7 @@ class EpisodeTask(abc.ABC, Generic[SomeTrials]):
         generator: what draws the subgoals of agent hvf.
         checkpoints: files of learned weights that take part.
         told: whether plans start from the trials' own frames in place of images; see
-            :class:`~hvf.evaluation.agents.PlanningAgent`.
+            :class:`~hvf.agents.planning.PlanningAgent`.
     """
 
     def __init__(

@@ -18,9 +18,17 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialise
 
-from hvf.atomic import write_bytes
+from hvf.files import write_bytes
 
 FORMAT = "hvf-model-1"
+
+# Names that classes had when older checkpoints were written.
+ALIASES = {
+    "DeskDynamics": "LayerDynamics",
+    "DeskGenerator": "LayerGenerator",
+    "DeskPerception": "LayerPerception",
+    "DeskProbe": "PositionProbe",
+}
 
 
 class Configured(Protocol):
@@ -118,7 +126,7 @@ def load_model(
     """
     tensors, metadata = read_tensors(path)
     header = _header(path, metadata)
-    if header.model != model_class.__name__:
+    if ALIASES.get(header.model, header.model) != model_class.__name__:
         raise ValueError(f"{path}: holds a {header.model}, expected a {model_class.__name__}")
     if environment is not None and header.environment != environment:
         raise ValueError(

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from hvf.models.scene_code import SceneCode
+from hvf.models.keypoint.scene_code import SceneCode
 
 
 @dataclass(frozen=True)

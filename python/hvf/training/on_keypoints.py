@@ -14,10 +14,10 @@ from rich.console import Console
 
 from hvf.data.loader import EpisodePool
 from hvf.models.checkpoint import load_model
-from hvf.models.keypoint_dynamics import KeypointDynamics
-from hvf.models.scene_code import SceneCode
+from hvf.models.keypoint.dynamics import KeypointDynamics
+from hvf.models.keypoint.scene_code import SceneCode
 from hvf.training.loop import LoopConfig, Sampler, Validation, seeded, train
-from hvf.training.transitions import Transitions
+from hvf.training.tracks.keypoints import Transitions
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from hvf.atomic import replacing
+from hvf.files import replacing
 
 _BORDER = 2
 

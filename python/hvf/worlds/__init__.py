@@ -91,21 +91,23 @@ def _load_learned(
     config: MazeWorldConfig, generator: str
 ) -> tuple[WorldModel[Any], SubgoalModel[Any]]:
     from hvf.models.checkpoint import load_model
-    from hvf.models.cvae import CVAE
-    from hvf.models.keypoint_dynamics import KeypointDynamics
-    from hvf.models.keypoint_generator import KeypointGenerator
+    from hvf.models.keypoint.dynamics import KeypointDynamics
+    from hvf.models.keypoint.generator import KeypointGenerator
     from hvf.models.temporal_distance import TemporalDistance
-    from hvf.worlds.distances import DistanceWorld, LatentDistance, StepsDistance
-    from hvf.worlds.learned import ImageSubgoals, KeypointSubgoals, LearnedWorld
+    from hvf.models.vae import CVAE
+    from hvf.worlds.costs import DistanceWorld, LatentDistance, StepsDistance
+    from hvf.worlds.keypoint import ImageSubgoals, KeypointSubgoals, KeypointWorld
 
     def load(name: str, kind: type[Model]) -> Model:
         path = getattr(config, name) or WEIGHTS / f"maze_{name}.safetensors"
         return load_model(path, kind, environment="maze")
 
     world: Any = hvf_core.MazeWorld(blur=config.blur, over_horizon=config.over_horizon)
-    learned: LearnedWorld | None = None
+    learned: KeypointWorld | None = None
     if config.model == "learned" or generator == "keypoint":
-        learned = LearnedWorld(load("dynamics", KeypointDynamics), config.blur, config.over_horizon)
+        learned = KeypointWorld(
+            load("dynamics", KeypointDynamics), config.blur, config.over_horizon
+        )
     if config.model == "learned":
         assert learned is not None
         world = learned

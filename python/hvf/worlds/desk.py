@@ -75,28 +75,28 @@ def load_desk(
         ValueError: a checkpoint of another model or environment.
     """
     if config.model == "simulator":
-        from hvf.worlds.desk_simulator import DeskSimulatorWorld
+        from hvf.worlds.mujoco import MujocoWorld
 
-        return DeskSimulatorWorld(pool, config.blur, config.over_horizon), None
+        return MujocoWorld(pool, config.blur, config.over_horizon), None
     from hvf.models.checkpoint import load_model
-    from hvf.models.cvae import CVAE
-    from hvf.models.desk.dynamics import DeskDynamics
-    from hvf.models.desk.generator import DeskGenerator
-    from hvf.worlds.desk_learned import DeskLearnedWorld
-    from hvf.worlds.desk_subgoals import StateSubgoals
-    from hvf.worlds.learned import ImageSubgoals
+    from hvf.models.layers.dynamics import LayerDynamics
+    from hvf.models.layers.generator import LayerGenerator
+    from hvf.models.vae import CVAE
+    from hvf.worlds.keypoint import ImageSubgoals
+    from hvf.worlds.layers import LayerWorld
+    from hvf.worlds.layers_subgoals import StateSubgoals
 
     paths = config.checkpoints
     if not paths["dynamics"].exists():
         path = paths["dynamics"]
         raise FileNotFoundError(f"{path}: no such dynamics; `hvf train desk-dynamics` makes it")
-    model = load_model(paths["dynamics"], DeskDynamics, environment="desk")
-    world = DeskLearnedWorld(model, config.blur, config.over_horizon)
+    model = load_model(paths["dynamics"], LayerDynamics, environment="desk")
+    world = LayerWorld(model, config.blur, config.over_horizon)
     if "vae" in paths:
         return world, ImageSubgoals(load_model(paths["vae"], CVAE, environment="desk"))
     if config.generator == "vae" or not paths["desk_generator"].exists():
         return world, None
-    generator = load_model(paths["desk_generator"], DeskGenerator, environment="desk")
+    generator = load_model(paths["desk_generator"], LayerGenerator, environment="desk")
     return world, StateSubgoals(generator, world)
 
 

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
+from hvf.envs.actions import checked_actions
 from hvf.envs.desk.rendering import DeskRenderer, check_image_size
 from hvf.envs.desk.scene import BLOCKS
 from hvf.envs.desk.simulator import (
@@ -34,7 +35,6 @@ from hvf.envs.desk.tasks import (
     make_episodes,
     object_success,
 )
-from hvf.envs.maze_task import checked_actions
 
 Image = NDArray[np.uint8]
 

@@ -1,0 +1,1 @@
+"""What acts: plans with and without subgoals, and the random floor."""

@@ -1,0 +1,1 @@
+"""Files of episodes: one reader a format."""

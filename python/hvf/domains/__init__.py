@@ -1,0 +1,1 @@
+"""Places to plan in: what every command asks of one."""

@@ -1,0 +1,1 @@
+"""The Franka desk as a domain."""

@@ -1,0 +1,141 @@
+"""The maze as a Gymnasium environment."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+import hvf_core
+from hvf.envs.actions import checked_actions
+from hvf.envs.maze.task import (
+    RENDER_FPS,
+    RENDER_MODES,
+    Difficulty,
+    Image,
+    MazeTask,
+    Reward,
+)
+
+
+class MazeEnv(gymnasium.Env[Image, NDArray[np.float32]]):
+    """Push a square through the gaps of two walls to where a goal image shows it.
+
+    The maze of Nair & Finn (2020), section 6.1, made with ``gymnasium.make("hvf/Maze-v0")``,
+    which also ends episodes after 50 steps.
+
+    * Observation: image of the scene, uint8 ``[S, S, 3]``. The target is never drawn.
+    * Action: force on the agent, float32 ``[2]`` in ``[-3, 3]``; larger ones are clipped. One
+      step lasts 0.5 s from rest and moves a free agent 0.0495 m per unit.
+    * Reward: 1 on success, else 0 (``reward="sparse"``), or minus the distance to the target in
+      metres (``"dense"``).
+    * Termination: success, the agent's centre within 0.05 m of the target.
+    * ``info``: ``state`` float64 ``[4]`` (x, y and the ``y`` of both gaps, m), ``target``
+      ``[2]``, ``goal`` (goal image), ``success``, ``distance`` (m).
+
+    After ``reset(seed=s)`` the first episode is ``hvf_core.maze_episodes(s, 0, 1, difficulty)``,
+    the one after the next ``reset()`` has index 1, and so on.
+    ``reset(options={"state": ..., "target": ..., "episode": ...})`` asks for something else, see
+    :meth:`MazeTask.episode`.
+    """
+
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012
+
+    def __init__(
+        self,
+        difficulty: Difficulty = "hard",
+        image_size: int = 64,
+        reward: Reward = "sparse",
+        render_mode: str | None = None,
+    ) -> None:
+        self.task = MazeTask(difficulty, image_size, reward, render_mode)
+        self.observation_space = self.task.observation_space
+        self.action_space = self.task.action_space
+        self.render_mode = render_mode
+        self._seed: int | None = None
+        self._episode = 0
+        self._state: NDArray[np.float64] | None = None
+        self._target = np.zeros((1, 2))
+        self._goal = np.zeros((image_size, image_size, 3), np.uint8)
+        self._window: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Image, dict[str, Any]]:
+        """Start the next episode, or the first one of ``seed``.
+
+        Raises:
+            ValueError: for options that :meth:`MazeTask.episode` refuses.
+        """
+        super().reset(seed=seed)
+        if seed is not None:
+            self._seed, self._episode = seed, 0
+        elif self._seed is None:
+            self._seed = int(self.np_random.integers(2**63))
+        start, target = self.task.episode(self._seed, self._episode, options)
+        self._episode += 1
+        self._state, self._target = start[None], target[None]
+        self._goal = self.task.goals(self._state, self._target)[0]
+        if self.render_mode == "human":
+            self._show()
+        return self.task.observe(self._state)[0], self._info()
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Image, float, bool, bool, dict[str, Any]]:
+        """Apply a force ``[2]`` for half a second.
+
+        Raises:
+            ValueError: for another shape, or an action that is not finite.
+            ResetNeeded: before the first ``reset``.
+        """
+        if self._state is None:
+            raise ResetNeeded("call reset before step")
+        actions = checked_actions(action, (2,))[None]
+        self._state = hvf_core.maze_step(self._state, actions)
+        info = self._info()
+        if self.render_mode == "human":
+            self._show()
+        success, distance = np.array([info["success"]]), np.array([info["distance"]])
+        reward = float(self.task.rewards(success, distance)[0])
+        return self.task.observe(self._state)[0], reward, info["success"], False, info
+
+    def render(self) -> Image | None:
+        """Scene and goal side by side, uint8 ``[256, 520, 3]``; None in human mode.
+
+        Raises:
+            ResetNeeded: before the first ``reset``.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() without a render mode; give make() render_mode=...")
+            return None
+        if self._state is None:
+            raise ResetNeeded("call reset before render")
+        if self.render_mode == "human":
+            self._show()
+            return None
+        picture: Image = self.task.pictures(self._state, self._target)[0]
+        return picture
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def _info(self) -> dict[str, Any]:
+        assert self._state is not None
+        return {
+            "state": self._state[0].copy(),
+            "target": self._target[0].copy(),
+            "goal": self._goal.copy(),
+            "success": bool(hvf_core.maze_success(self._state, self._target)[0]),
+            "distance": float(self.task.distances(self._state, self._target)[0]),
+        }
+
+    def _show(self) -> None:
+        from hvf.envs.window import Window
+
+        assert self._state is not None
+        if self._window is None:
+            self._window = Window("hvf/Maze-v0: scene and goal", RENDER_FPS)
+        self._window.show(self.task.pictures(self._state, self._target)[0])

@@ -1,0 +1,145 @@
+"""What the maze environments share: their settings, episodes, rewards and pictures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, cast, get_args
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+import hvf_core
+
+Image: TypeAlias = NDArray[np.uint8]
+Actions: TypeAlias = NDArray[np.float32]
+States: TypeAlias = NDArray[np.float64]
+Difficulty: TypeAlias = Literal["easy", "medium", "hard"]
+Reward: TypeAlias = Literal["sparse", "dense"]
+
+RENDER_MODES = ("human", "rgb_array")
+RENDER_SIZE = 256
+RENDER_FPS = 2
+"""Real time: a step lasts half a second."""
+
+
+@dataclass(frozen=True)
+class MazeTask:
+    """Settings of a maze environment.
+
+    Attributes:
+        difficulty: How many gaps lie between start and target: ``"easy"`` none, ``"medium"`` one,
+            ``"hard"`` two.
+        image_size: Width and height ``S`` of observations, pixels, 8 to 2048.
+        reward: ``"sparse"``: 1 in the step that brings the agent within 0.05 m of the target,
+            else 0. ``"dense"``: minus the distance to the target, m.
+        render_mode: None, ``"rgb_array"`` or ``"human"``.
+
+    Raises:
+        ValueError: for a value that is none of these.
+        TypeError: for an image size that is no integer.
+    """
+
+    difficulty: Difficulty = "hard"
+    image_size: int = 64
+    reward: Reward = "sparse"
+    render_mode: str | None = None
+
+    def __post_init__(self) -> None:
+        hvf_core.maze_episodes(0, 0, 0, _choice("difficulty", self.difficulty, Difficulty))
+        _choice("reward", self.reward, Reward)
+        if self.render_mode is not None and self.render_mode not in RENDER_MODES:
+            raise ValueError(
+                f"render_mode: must be None or one of {RENDER_MODES}, got {self.render_mode!r}"
+            )
+        self.observe(np.zeros((0, 4)))
+
+    @property
+    def observation_space(self) -> spaces.Space[Image]:
+        """Images, uint8 ``[S, S, 3]``."""
+        shape = (self.image_size, self.image_size, 3)
+        return cast("spaces.Space[Image]", spaces.Box(0, 255, shape, np.uint8))
+
+    @property
+    def action_space(self) -> spaces.Space[Actions]:
+        """Forces in units of 0.05 N, float32 ``[2]`` in ``[-3, 3]``."""
+        limit = hvf_core.MAZE_ACTION_LIMIT
+        return cast("spaces.Space[Actions]", spaces.Box(-limit, limit, (2,), np.float32))
+
+    def observe(self, states: States) -> Image:
+        """Images of ``states[N, 4]``: uint8 ``[N, S, S, 3]``."""
+        return hvf_core.maze_render(states, self.image_size)
+
+    def distances(self, states: States, targets: States) -> States:
+        """Distances of ``states[N, 4]`` to ``targets[N, 2]``, m: float64 ``[N]``."""
+        x, y = (states[:, :2] - targets).T
+        return cast(States, np.hypot(x, y))
+
+    def rewards(self, success: NDArray[np.bool_], distances: States) -> States:
+        """Rewards ``[N]`` of steps that ended in success or not, at these distances."""
+        return success.astype(np.float64) if self.reward == "sparse" else -distances
+
+    def episode(
+        self, seed: int, index: int, options: Mapping[str, Any] | None
+    ) -> tuple[States, States]:
+        """Start ``[4]`` and target ``[2]`` of an episode, or what ``options`` put in its place.
+
+        Args:
+            seed: Seed of the environment.
+            index: Number of the episode since that seed was set.
+            options: May hold ``"state"`` ``(x, y, w1, w2)``, ``"target"`` ``(x, y)`` and
+                ``"episode"`` (another index), in metres. The agent is put where it can stand.
+
+        Raises:
+            ValueError: for other options, or values out of range.
+        """
+        options = dict(options or {})
+        index = options.pop("episode", index)
+        starts, targets = hvf_core.maze_episodes(seed, index, 1, self.difficulty)
+        start, target = starts[0], targets[0]
+        if "state" in options:
+            start = _legal("options['state']", options.pop("state"), 4)
+        if "target" in options:
+            position = _vector("options['target']", options.pop("target"), 2)
+            target = _legal("options['target']", [*position, *start[2:]], 4)[:2]
+        if options:
+            raise ValueError(
+                "options: may hold 'state', 'target' and 'episode', got also "
+                + ", ".join(map(repr, options))
+            )
+        return start, target
+
+    def goals(self, states: States, targets: States) -> Image:
+        """Goal images: the scenes of ``states[N, 4]`` with the agent at ``targets[N, 2]``."""
+        return self.observe(np.concatenate([targets, states[:, 2:]], axis=1))
+
+    def pictures(self, states: States, targets: States) -> Image:
+        """Pictures for people: scene and goal side by side, uint8 ``[N, S, 2 S + gap, 3]``."""
+        now = hvf_core.maze_render(states, RENDER_SIZE)
+        goal = hvf_core.maze_render(np.concatenate([targets, states[:, 2:]], axis=1), RENDER_SIZE)
+        gap = np.full((len(now), RENDER_SIZE, 8, 3), 255, np.uint8)
+        return np.concatenate([now, gap, goal], axis=2)
+
+
+def _choice(argument: str, value: str, choices: object) -> str:
+    if value not in get_args(choices):
+        raise ValueError(f"{argument}: must be one of {get_args(choices)}, got {value!r}")
+    return value
+
+
+def _vector(argument: str, value: ArrayLike, length: int) -> States:
+    try:
+        vector = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{argument}: expected {length} numbers, got {value!r}") from error
+    if vector.shape != (length,):
+        raise ValueError(f"{argument}: expected shape [{length}], got {list(vector.shape)}")
+    return vector
+
+
+def _legal(argument: str, value: ArrayLike, length: int) -> States:
+    """A state, with the agent moved to where it can stand."""
+    state = _vector(argument, value, length)
+    try:
+        return np.ravel(hvf_core.maze_step(state[None], np.zeros((1, 2))))
+    except ValueError as error:
+        raise ValueError(f"{argument}: {error}") from error

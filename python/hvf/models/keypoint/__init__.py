@@ -1,0 +1,1 @@
+"""The keypoint object model: one coloured box that moves before a still scene."""

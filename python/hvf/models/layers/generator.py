@@ -1,0 +1,154 @@
+"""What the desk may look like later: a small CVAE on states.
+
+The second generator of the desk's subgoals, beside the paper's VAE on images: it draws a state,
+given the state of the scene, and the compact dynamics draws the image. Images are sharp, a subgoal
+belongs to the scene that it is searched for, and planning starts from the state without looking at
+the image again. What hardly moves does not move at all.
+
+Letters in shapes: `N` samples, `A` action dimensions, `G` sliders, `R` parts that roam, `L` latent
+dimensions, `X` = A + G + 3R length of a state (:mod:`hvf.models.layers.perception`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from hvf.models.vae import gaussian_kl
+
+
+@dataclass(frozen=True)
+class LayerGeneratorConfig:
+    """Sizes.
+
+    Attributes:
+        image_size: pixels on each side of the images that parts move in.
+        action_dim: action dimensions, `A`.
+        sliders: sliders, `G`.
+        roaming: parts that roam, `R`.
+        latent_dim: latent dimensions, `L`.
+        hidden: width of the hidden layers.
+        hand_precision: standard deviation to which the hand should be rebuilt, full actions.
+        slider_precision: that of a slider, as a part of its way.
+        part_precision: that of a part, pixels.
+        least_slide: change of a slider that is none.
+        least_move: motion of a part that is none, pixels.
+    """
+
+    image_size: int = 64
+    action_dim: int = 3
+    sliders: int = 2
+    roaming: int = 3
+    latent_dim: int = 8
+    hidden: int = 192
+    hand_precision: float = 0.25
+    slider_precision: float = 0.03
+    part_precision: float = 1.0
+    least_slide: float = 0.03
+    least_move: float = 1.5
+
+    def __post_init__(self) -> None:
+        for name in ("image_size", "action_dim", "sliders", "roaming", "latent_dim", "hidden"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("hand_precision", "slider_precision", "part_precision"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in ("least_slide", "least_move"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+
+    @property
+    def state_size(self) -> int:
+        """Length of a state, `X`."""
+        return self.action_dim + self.sliders + 3 * self.roaming
+
+
+class LayerGenerator(nn.Module):
+    """CVAE of states; see the module's documentation."""
+
+    config_type: ClassVar[type[LayerGeneratorConfig]] = LayerGeneratorConfig
+    scale: Tensor
+
+    def __init__(self, config: LayerGeneratorConfig) -> None:
+        super().__init__()
+        self.config = config
+        size, hidden = config.state_size, config.hidden
+        self.posterior = _network(2 * size, hidden, 2 * config.latent_dim)
+        self.decoder = _network(size + config.latent_dim, hidden, size)
+        half = 0.5 * config.image_size
+        spread = [2.0] * config.action_dim + [0.5] * config.sliders
+        self.register_buffer(
+            "scale", torch.tensor(spread + [half, half, 1.0] * config.roaming), persistent=False
+        )
+
+    def decode(self, latents: Tensor, scenes: Tensor) -> Tensor:
+        """States `[N, X]` for `latents [N, L]` in scenes of states `scenes [N, X]`."""
+        states = self.rebuild(latents, scenes)
+        fixed, parts = states[:, : -3 * self.config.roaming], self._parts(states)
+        hand = fixed[:, : self.config.action_dim]
+        was = scenes[:, self.config.action_dim : fixed.shape[1]]
+        sliders = fixed[:, self.config.action_dim :].clamp(0, 1)
+        sliders = torch.where((sliders - was).abs() < self.config.least_slide, was, sliders)
+        before = self._parts(scenes)
+        there = (parts[..., 2:] > 0.5).to(parts.dtype) * before[..., 2:]
+        stays = (parts - before)[..., :2].norm(dim=2, keepdim=True) < self.config.least_move
+        places = torch.where(stays, before[..., :2], parts[..., :2])
+        return torch.cat([hand, sliders, torch.cat([places, there], dim=2).flatten(1)], dim=1)
+
+    def rebuild(self, latents: Tensor, scenes: Tensor) -> Tensor:
+        """What the decoder says, before it is decided what moves and what is there: `[N, X]`."""
+        change: Tensor = self.decoder(torch.cat([latents, self._normal(scenes)], dim=1))
+        return scenes + change * self.scale
+
+    def encode(self, states: Tensor, scenes: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log variance `[N, L]` of the latents of `states [N, X]`."""
+        seen = torch.cat([self._normal(states), self._normal(scenes)], dim=1)
+        mean, log_variance = self.posterior(seen).chunk(2, dim=1)
+        return mean, log_variance.clamp(-12.0, 4.0)
+
+    def loss(
+        self, batch: Mapping[str, Tensor], generator: torch.Generator, step: int
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Negative evidence lower bound, in nats, of `states [N, X]` given `scenes [N, X]`."""
+        states, scenes, config = batch["states"], batch["scenes"], self.config
+        mean, log_variance = self.encode(states, scenes)
+        noise = torch.randn(mean.shape, generator=generator, device=mean.device)
+        rebuilt = self.rebuild(mean + noise * (0.5 * log_variance).exp(), scenes)
+        hand = slice(0, config.action_dim)
+        sliders = slice(config.action_dim, config.action_dim + config.sliders)
+        parts, truth = self._parts(rebuilt), self._parts(states)
+        # Where something is that is not there does not matter.
+        apart = (parts - truth)[..., :2] / config.part_precision * truth[..., 2:]
+        wrong = [
+            ((rebuilt - states)[:, hand] / config.hand_precision).square().sum(dim=1),
+            ((rebuilt - states)[:, sliders] / config.slider_precision).square().sum(dim=1),
+            apart.square().sum(dim=(1, 2)),
+            ((parts - truth)[..., 2] / 0.2).square().sum(dim=1),
+        ]
+        distortion = 0.5 * torch.stack(wrong).sum(dim=0).mean()
+        kl = gaussian_kl(mean, log_variance).mean()
+        pieces = {"kl": kl, "distortion": distortion}
+        return distortion + kl, {name: value.detach() for name, value in pieces.items()}
+
+    def _parts(self, states: Tensor) -> Tensor:
+        return states[:, -3 * self.config.roaming :].reshape(len(states), -1, 3)
+
+    def _normal(self, states: Tensor) -> Tensor:
+        normal = states / self.scale
+        parts = normal[:, -3 * self.config.roaming :] - 0.5
+        return torch.cat([normal[:, : -3 * self.config.roaming], parts], dim=1)
+
+
+def _network(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Linear(inputs, hidden),
+        nn.ReLU(),
+        nn.Linear(hidden, hidden),
+        nn.ReLU(),
+        nn.Linear(hidden, outputs),
+    )

@@ -1,0 +1,1 @@
+"""How each model is trained: one recipe a model."""

@@ -1,0 +1,192 @@
+"""Training the compact dynamics model: perception from pairs of frames, then the cell."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+
+from hvf.data.loader import EpisodePool, PairSampler
+from hvf.models.frames import to_frames, to_unit
+from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics
+from hvf.models.keypoint.perception import KeypointPerception
+from hvf.training.loop import LoopConfig, Validation, seeded, train
+from hvf.training.pictures import frame_grid
+from hvf.training.tracks.keypoints import Transitions, TransitionSampler
+
+# Validation: windows of this many steps from each held-out episode, and how many are drawn.
+_HORIZON = 5
+_SHOWN = 10
+
+
+@dataclasses.dataclass(frozen=True)
+class DynamicsTraining:
+    """Training of the compact dynamics model.
+
+    Attributes:
+        data: file of episodes (``hvf collect maze``).
+        out: directory of the run; a run that is already there is continued.
+        episodes: episodes whose transitions train the cell.
+        pairs: pairs of images per step while perception is trained.
+        scenes: scenes per step while the cell is trained.
+        transitions: transitions per scene and step.
+        model: the network.
+        perception_loop: how to optimise perception.
+        loop: how to optimise the cell.
+    """
+
+    data: Path
+    out: Path = Path("runs/dynamics")
+    episodes: int = 6000
+    pairs: int = 32
+    scenes: int = 64
+    transitions: int = 32
+    model: DynamicsConfig = DynamicsConfig()
+    perception_loop: LoopConfig = LoopConfig(
+        steps=800,
+        learning_rate=8e-3,
+        schedule="cosine",
+        precision="float32",
+        validate_every=400,
+        checkpoint_every=200,
+        threads=1,
+    )
+    # Positions in pixels need all of float32's digits, on a GPU too.
+    loop: LoopConfig = LoopConfig(
+        steps=20_000,
+        learning_rate=4e-3,
+        schedule="cosine",
+        warmup_steps=200,
+        clip_norm=1.0,
+        precision="float32",
+        validate_every=5000,
+        checkpoint_every=1000,
+        threads=1,
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("episodes", "pairs", "scenes", "transitions"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+
+def train_dynamics(config: DynamicsTraining, console: Console | None = None) -> KeypointDynamics:
+    """Train perception and cell, or go on with the run in ``config.out``.
+
+    Raises:
+        FileNotFoundError: no data file.
+        ValueError: a damaged or foreign data file, frames of another size than the model's, or
+            another run in ``config.out``.
+        KeyboardInterrupt: stopped; the same call goes on from there.
+    """
+    console = console or Console()
+    seed = config.loop.seed
+    held_out = EpisodePool(config.data, "validation", environment="maze", seed=seed)
+    held_out.move_to(0)
+    pool = EpisodePool(config.data, environment="maze", memory_gb=0.5, seed=seed)
+    run: dict[str, Any] = {
+        "command": "hvf train dynamics",
+        "data": dataclasses.asdict(pool.metadata),
+    }
+    size = config.model.perception.image_size
+    if pool.frames.shape[2:4] != (size, size):
+        raise ValueError(
+            f"{config.data}: frames are {pool.frames.shape[2:4]}, the model takes {(size, size)}"
+        )
+    console.print("perception: mask, keypoint and sprite from pairs of frames")
+    perception = train(
+        seeded(seed, lambda: KeypointPerception(config.model.perception)),
+        PairSampler(pool, config.pairs, seed),
+        config.perception_loop,
+        config.out / "perception",
+        environment="maze",
+        run={**run, "pairs": config.pairs},
+        validate=lambda model, _: validate_perception(model, held_out),
+        console=console,
+    )
+    pool.close()
+    model = seeded(seed, lambda: KeypointDynamics(config.model)).freeze_perception(perception)
+    console.print("cell: how actions move the keypoint")
+    training = pool.metadata.episodes - len(held_out)
+    data = Transitions(config.data, model, min(config.episodes, training), console=console)
+    model.fit_backgrounds(torch.from_numpy(data.backgrounds[:, 0]))
+    return train(
+        model,
+        TransitionSampler(data, config.scenes, config.transitions, seed),
+        config.loop,
+        config.out,
+        environment="maze",
+        run={
+            **run,
+            "episodes": config.episodes,
+            "scenes": config.scenes,
+            "transitions": config.transitions,
+            "perception_steps": config.perception_loop.steps,
+        },
+        validate=lambda trained, _: validate_dynamics(trained, held_out),
+        console=console,
+    )
+
+
+def validate_perception(model: KeypointPerception, held_out: EpisodePool) -> Validation:
+    """Unexplained part of the difference between held-out frames ten steps apart, and a picture.
+
+    The rows of the picture: frames, masks, and the frames with the sprite taken away.
+    """
+    frames = torch.from_numpy(held_out.frames[:64, [0, 10]]).to(model.colour.device)
+    images = to_unit(frames.flatten(0, 1))
+    mask = model.motion_mask(images)
+    pixels = model.centroid(mask)
+    background = model.background(images, pixels)
+    pairs = background.reshape(-1, 2, *background.shape[1:])
+    difference = images.reshape(-1, 2, *images.shape[1:])
+    unexplained = (pairs[:, 0] - pairs[:, 1]).square().sum() / (
+        (difference[:, 0] - difference[:, 1]).square().sum().clamp_min(1e-9)
+    )
+    metrics = {
+        "unexplained": float(unexplained),
+        "sprite_height": float(2 * model.half_size[0]),
+        "sprite_width": float(2 * model.half_size[1]),
+    }
+    masks = mask[:_SHOWN, None].expand(-1, 3, -1, -1)
+    rows = [to_frames(row).cpu().numpy() for row in (images[:_SHOWN], masks, background[:_SHOWN])]
+    return Validation(metrics, {"perception": frame_grid(rows, zoom=2)})
+
+
+def validate_dynamics(model: KeypointDynamics, held_out: EpisodePool) -> Validation:
+    """Error of predicted keypoints 1 and 5 steps ahead on held-out episodes, and a picture.
+
+    All windows of 5 steps that do not overlap are measured, in pixels, against the keypoints that
+    perception finds in the true frames. The rows of the picture: true frames, predicted frames.
+    """
+    device = next(model.parameters()).device
+    frames = held_out.frames
+    episodes, steps = held_out.actions.shape[:2]
+    starts = np.arange(0, steps - _HORIZON + 1, _HORIZON)
+    every = torch.from_numpy(frames[:, ::_HORIZON]).flatten(0, 1)
+    observed = [model.observe(part.to(device)) for part in torch.split(every, 512)]
+    keypoints = torch.cat([k for k, _ in observed]).reshape(episodes, -1, 2)
+    maps = torch.cat([m for _, m in observed])[:: keypoints.shape[1]]
+    windows = len(starts)
+    index = starts[:, None] + np.arange(_HORIZON)
+    actions = torch.from_numpy(held_out.actions[:, index]).to(device)
+    path = model.rollout(keypoints[:, :windows], maps, actions)
+    first = torch.from_numpy(frames[:, starts + 1]).flatten(0, 1)
+    after_one = torch.cat([model.observe(part.to(device))[0] for part in torch.split(first, 512)])
+    one = (path[:, :, 0].flatten(0, 1) - after_one).norm(dim=1)
+    five = (path[:, :, -1] - keypoints[:, 1 : windows + 1]).norm(dim=2).flatten()
+    metrics = {
+        "pixels_1_median": float(one.median()),
+        "pixels_1_95": float(one.quantile(0.95)),
+        "pixels_5_median": float(five.median()),
+        "pixels_5_mean": float(five.mean()),
+        "pixels_5_over_2.5": float((five > 2.5).float().mean()),
+    }
+    images = to_unit(torch.from_numpy(frames[:_SHOWN, 0]).to(device))
+    drawn = model.draw(images, keypoints[:_SHOWN, 0], path[:_SHOWN, 0, -1])
+    rows = [frames[:_SHOWN, 0], frames[:_SHOWN, _HORIZON], to_frames(drawn).cpu().numpy()]
+    return Validation(metrics, {"predictions": frame_grid(rows, zoom=2)})

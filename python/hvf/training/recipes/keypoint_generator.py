@@ -1,0 +1,125 @@
+"""Training the generator of keypoints on what the compact dynamics model sees."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.console import Console
+
+import hvf_core
+from hvf.data.loader import EpisodePool
+from hvf.models.keypoint.dynamics import KeypointDynamics
+from hvf.models.keypoint.generator import GeneratorConfig, KeypointGenerator
+from hvf.training.loop import LoopConfig, Validation
+from hvf.training.on_keypoints import OnKeypoints, train_on_keypoints
+from hvf.training.pictures import frame_grid
+from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld
+
+_SHOWN = 10
+_SAMPLES = 200
+
+
+@dataclasses.dataclass(frozen=True)
+class GeneratorTraining(OnKeypoints):
+    """Training of the keypoint generator.
+
+    Attributes:
+        out: directory of the run; a run that is already there is continued.
+        episodes: episodes to learn from.
+        batch_size: keypoints per step.
+        model: the network.
+        loop: how to optimise.
+    """
+
+    out: Path = Path("runs/keypoint_generator")
+    episodes: int = 1000
+    batch_size: int = 1024
+    model: GeneratorConfig = GeneratorConfig()
+    loop: LoopConfig = LoopConfig(
+        steps=5000,
+        learning_rate=2e-3,
+        schedule="cosine",
+        warmup_steps=100,
+        validate_every=2500,
+        checkpoint_every=1000,
+        threads=1,
+    )
+
+
+class KeypointSampler:
+    """Keypoints with the codes of their scenes, drawn uniformly from all frames.
+
+    Batches hold ``keypoints`` float32 ``[N, 2]`` and ``codes`` float32 ``[N, E]``.
+    """
+
+    def __init__(
+        self, keypoints: NDArray[np.float32], codes: NDArray[np.float32], count: int, seed: int
+    ) -> None:
+        self._keypoints = keypoints
+        self._codes = codes
+        self._count = count
+        self._seed = seed
+
+    def batch(self, step: int) -> Mapping[str, torch.Tensor]:
+        """The batch of training step ``step``, a function of (seed, step)."""
+        rng = np.random.default_rng([self._seed, step])
+        episode = rng.integers(len(self._keypoints), size=self._count)
+        time = rng.integers(self._keypoints.shape[1], size=self._count)
+        return {
+            "keypoints": torch.from_numpy(self._keypoints[episode, time]),
+            "codes": torch.from_numpy(self._codes[episode]),
+        }
+
+
+def train_keypoint_generator(
+    config: GeneratorTraining, console: Console | None = None
+) -> KeypointGenerator:
+    """Train the keypoint generator, or go on with the run in ``config.out``.
+
+    Raises:
+        FileNotFoundError: no data file, or no dynamics model.
+        ValueError: a damaged or foreign file, or another run in ``config.out``.
+        KeyboardInterrupt: stopped; the same call goes on from there.
+    """
+    return train_on_keypoints(
+        config,
+        "hvf train keypoint-generator",
+        KeypointGenerator,
+        KeypointSampler,
+        validate_generator,
+        console,
+    )
+
+
+def validate_generator(
+    model: KeypointGenerator,
+    dynamics: KeypointDynamics,
+    held_out: EpisodePool,
+    generator: torch.Generator,
+) -> Validation:
+    """Samples in held-out scenes: how many stand where the agent can, and a picture of some.
+
+    A sampled image is free if drawing the state that it shows again gives the same image: the true
+    renderer pushes an agent that stands in a wall out of it.
+    """
+    world = KeypointWorld(dynamics)
+    subgoals = KeypointSubgoals(model, world)
+    scenes = world.observe(held_out.frames[:20, 0])
+    rows = [held_out.frames[:_SHOWN, 0]]
+    errors = []
+    for i in range(len(scenes)):
+        latents = torch.randn(
+            (_SAMPLES, 1, model.config.latent_dim), generator=generator, device=generator.device
+        )
+        images = subgoals.decode(scenes[np.array([i])], latents.cpu().numpy()).images
+        again = hvf_core.maze_render(hvf_core.maze_locate(images), images.shape[1])
+        errors.append(hvf_core.image_cost(images, again))
+        if i < _SHOWN:
+            rows.append(images[:_SHOWN])
+    metrics = {"free": float((np.concatenate(errors) < 5e-4).mean())}
+    return Validation(metrics, {"subgoals": frame_grid(rows, zoom=2)})

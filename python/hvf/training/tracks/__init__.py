@@ -1,0 +1,1 @@
+"""What object models see in recorded episodes, kept beside the data."""

@@ -1,0 +1,174 @@
+"""The learned models of the maze as the planner wants them.
+
+Perception runs in torch, rollouts and costs in Rust (`hvf_core.KeypointWorld`).
+"""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+import hvf_core
+from hvf.models.frames import to_frames, to_unit
+from hvf.models.keypoint.dynamics import KeypointDynamics
+from hvf.models.keypoint.generator import KeypointGenerator
+from hvf.models.vae import CVAE
+
+OverHorizon = Literal["last", "sum", "min"]
+
+_IMAGES_AT_ONCE = 512
+
+
+class KeypointWorld:
+    """The compact dynamics model as a world model (`hvf.protocols.WorldModel`).
+
+    Args:
+        dynamics: the trained model.
+        blur: standard deviation in pixels of the Gaussian blur through which predicted frames and
+            goals are compared; 0 for none.
+        over_horizon: whether the last predicted frame counts, their sum, or their minimum.
+
+    Attributes:
+        native: the `hvf_core.KeypointWorld` that the planner runs without the GIL.
+    """
+
+    def __init__(
+        self, dynamics: KeypointDynamics, blur: float = 0.0, over_horizon: OverHorizon = "last"
+    ) -> None:
+        self.dynamics = dynamics.eval()
+        config, perception = dynamics.config, dynamics.perception
+        weights = {
+            name: tensor.detach().cpu().numpy() for name, tensor in dynamics.state_dict().items()
+        }
+        limit = np.full(config.action_dim, config.action_scale, np.float32)
+        self.native = hvf_core.KeypointWorld(
+            patch=weights["cell.patch.weight"],
+            patch_bias=weights["cell.patch.bias"],
+            context=weights["cell.context.weight"],
+            middle=weights["cell.middle.weight"],
+            middle_bias=weights["cell.middle.bias"],
+            output=weights["cell.output.weight"],
+            output_bias=weights["cell.output.bias"],
+            free=weights["cell.free.weight"],
+            action_scale=config.action_scale,
+            spacing=config.cell.spacing,
+            substeps=config.cell.substeps,
+            half_size=perception.half_size.tolist(),
+            edge=perception.edge.tolist(),
+            colour=perception.colour.tolist(),
+            action_low=(-limit).tolist(),
+            action_high=limit.tolist(),
+            image_size=config.perception.image_size,
+            blur=blur,
+            over_horizon=over_horizon,
+        )
+
+    @property
+    def action_low(self) -> NDArray[np.float32]:
+        """Lowest action, float32 `[A]`."""
+        return self.native.action_low
+
+    @property
+    def action_high(self) -> NDArray[np.float32]:
+        """Highest action, float32 `[A]`."""
+        return self.native.action_high
+
+    def observe(self, images: NDArray[np.uint8]) -> hvf_core.KeypointFrames:
+        """Frames of uint8 `images [N, S, S, 3]`.
+
+        Raises:
+            ValueError: images of another size than the model's.
+            TypeError: images that are not uint8.
+        """
+        size = self.dynamics.config.perception.image_size
+        if images.dtype != np.uint8:
+            raise TypeError(f"images: must be uint8, got {images.dtype}")
+        if images.ndim != 4 or images.shape[1:] != (size, size, 3):
+            raise ValueError(f"images: expected shape [N, {size}, {size}, 3], got {images.shape}")
+        device = self.dynamics.perception.colour.device
+        with torch.inference_mode():
+            tensor = torch.from_numpy(np.ascontiguousarray(images))
+            parts = torch.split(tensor, _IMAGES_AT_ONCE)
+            observed = [self.dynamics.observe(part.to(device)) for part in parts]
+            keypoints = torch.cat([keypoint for keypoint, _ in observed]).cpu().numpy()
+            maps = torch.cat([scene for _, scene in observed]).cpu().numpy()
+        return self.native.frames(images, keypoints, maps)
+
+    def rollout_costs(
+        self,
+        starts: hvf_core.KeypointFrames,
+        goals: hvf_core.KeypointFrames,
+        actions: NDArray[np.float32],
+    ) -> NDArray[np.float32]:
+        """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
+        return self.native.rollout_costs(starts, goals, actions)
+
+
+class KeypointSubgoals:
+    """Subgoals drawn by the keypoint generator (`hvf.protocols.SubgoalModel`)."""
+
+    def __init__(self, generator: KeypointGenerator, world: KeypointWorld) -> None:
+        expected = world.dynamics.config.perception.image_size
+        found = generator.config.image_size
+        if expected != found:
+            raise ValueError(
+                f"generator: made for images of {found} pixels, the world's have {expected}"
+            )
+        self.generator = generator.eval()
+        self.world = world
+
+    @property
+    def latent_dim(self) -> int:
+        """Latent dimensions of one image."""
+        return self.generator.config.latent_dim
+
+    def decode(
+        self, scene: hvf_core.KeypointFrames, latents: NDArray[np.float32]
+    ) -> hvf_core.KeypointFrames:
+        """Frames `[M * K]` for `latents [M, K, L]` in the scene of `scene [1]`, sample-major."""
+        dynamics = self.world.dynamics
+        count = latents.shape[0] * latents.shape[1]
+        with torch.inference_mode():
+            code = self.generator.code(torch.from_numpy(scene.maps))
+            flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
+            keypoints = self.generator.decode(flat, code.expand(count, -1))
+            start = to_unit(torch.from_numpy(scene.images))
+            images = dynamics.draw(start, torch.from_numpy(scene.keypoints), keypoints)
+        return scene.moved(to_frames(images).numpy(), keypoints.numpy())
+
+
+class Seen(Protocol):
+    """Frames of a world that keeps the images they come from."""
+
+    @property
+    def images(self) -> NDArray[np.uint8]:
+        """Images uint8 `[N, S, S, 3]`."""
+        ...
+
+
+class ImageSubgoals:
+    """Subgoal images drawn by the paper's CVAE or VAE (`hvf.protocols.SubgoalModel`).
+
+    Goes with any world that can `observe` images.
+    """
+
+    def __init__(self, cvae: CVAE) -> None:
+        self.cvae = cvae.eval()
+
+    @property
+    def latent_dim(self) -> int:
+        """Latent dimensions of one image."""
+        return self.cvae.config.latent_dim
+
+    def decode(self, scene: Seen, latents: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Images uint8 `[M * K, S, S, 3]` for `latents [M, K, L]` in the scene of `scene [1]`."""
+        count = latents.shape[0] * latents.shape[1]
+        with torch.inference_mode():
+            flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
+            conditional = self.cvae.config.conditional
+            start = to_unit(torch.from_numpy(scene.images)) if conditional else None
+            images = self.cvae.decode(flat, start)
+        return to_frames(images).numpy()
