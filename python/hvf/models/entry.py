@@ -1,0 +1,59 @@
+"""What the program knows of a kind of learned model before one is loaded.
+
+No torch here: a command that only lists models stays quick.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+from hvf.registry import imported
+
+Role: TypeAlias = Literal["dynamics", "generator", "distance"]
+"""What a model is good for: predicting frames, drawing subgoals, or measuring how far frames are."""
+
+
+@dataclass(frozen=True)
+class ModelEntry:
+    """A kind of model.
+
+    Targets are ``"module:attribute"``, imported when they are needed, or the thing itself.
+
+    Attributes:
+        about: what it is, in a line, for ``hvf train --help``.
+        kind: what it may be compared with: a ``video`` model (assumes nothing of a scene but image
+            size and action dimension) or an ``object`` model (knows the inventory of one scene).
+        role: what it is good for.
+        module: the ``torch.nn.Module``, with ``config_type``; checkpoints name its class.
+        plannable: makes what the planner wants of a loaded module: ``plannable(module, planning)``
+            for dynamics gives a :class:`~hvf.protocols.WorldModel`; ``plannable(module, world)``
+            for a generator a :class:`~hvf.protocols.SubgoalModel`, for a distance a
+            :class:`~hvf.protocols.WorldModel` around ``world`` (see :mod:`hvf.worlds.costs`).
+        recipe: its :class:`~hvf.training.recipe.Recipe`; None if it is not trained here.
+        assumes: what it takes for granted about a scene, for the table of models.
+        formerly: names that its class had in older checkpoints.
+    """
+
+    about: str
+    kind: Literal["video", "object"]
+    role: Role
+    module: str | type[Any]
+    plannable: Any
+    recipe: str | type[Any] | None = None
+    assumes: str = ""
+    formerly: tuple[str, ...] = ()
+
+    @property
+    def class_name(self) -> str:
+        """Name of the module's class, as checkpoints have it."""
+        return (
+            self.module.rpartition(":")[2]
+            if isinstance(self.module, str)
+            else self.module.__name__
+        )
+
+    def resolved(self, attribute: str) -> Any:
+        """``module``, ``plannable`` or ``recipe``, imported."""
+        target = getattr(self, attribute)
+        return imported(target) if isinstance(target, str) else target

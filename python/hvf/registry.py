@@ -1,0 +1,144 @@
+"""Names to things: domains, models, methods and costs, each imported when it is asked for.
+
+A thing of this package is listed here. One of another package registers itself when that is
+imported (``hvf.registry.DOMAINS.register("toy", TOY)``), or by an entry point of its
+``pyproject.toml``, which needs no import::
+
+    [project.entry-points."hvf.domains"]
+    toy = "my_package.domain:TOY"
+
+The groups are ``hvf.domains``, ``hvf.models``, ``hvf.methods`` and ``hvf.costs``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+
+if TYPE_CHECKING:
+    from hvf.agents.method import Method
+    from hvf.domains.domain import Domain
+    from hvf.models.entry import ModelEntry
+    from hvf.worlds.costs import Cost
+
+T = TypeVar("T")
+
+
+def imported(target: str) -> Any:
+    """What ``"module:attribute"`` names.
+
+    Raises:
+        ImportError: no such module, or it has no such attribute.
+    """
+    module, _, attribute = target.partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except AttributeError as error:
+        raise ImportError(f"{target}: {module} has no {attribute!r}") from error
+
+
+class Registry(Generic[T]):
+    """Things of one kind by their names, in the order in which they were registered.
+
+    Args:
+        kind: what they are, for errors: ``"domain"``.
+        group: group of entry points through which other packages add to them.
+        targets: name to ``"module:attribute"``, imported when asked for.
+    """
+
+    def __init__(self, kind: str, group: str, targets: dict[str, str]) -> None:
+        self.kind = kind
+        self.group = group
+        self._targets: dict[str, str | T] = dict(targets)
+        self._scanned = False
+
+    def register(self, name: str, target: str | T, *, replace: bool = False) -> None:
+        """Add a thing, or ``"module:attribute"`` where it is.
+
+        Raises:
+            ValueError: the name is taken, and not to be replaced.
+        """
+        if name in self._found() and not replace:
+            raise ValueError(f"{self.kind}: there is a {self.kind} {name!r} already")
+        self._targets[name] = target
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._found()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(tuple(self._found()))
+
+    def __len__(self) -> int:
+        return len(self._found())
+
+    def __getitem__(self, name: str) -> T:
+        """The thing of this name.
+
+        Raises:
+            ValueError: there is none; names those that there are.
+            ImportError: it is somebody's, and cannot be imported.
+        """
+        found = self._found()
+        if name not in found:
+            raise ValueError(f"{self.kind}: must be one of {', '.join(found)}; got {name!r}")
+        target = found[name]
+        if isinstance(target, str):
+            target = cast(T, imported(target))
+            self._targets[name] = target
+        return target
+
+    def _found(self) -> dict[str, str | T]:
+        """All targets, with those of other packages' entry points."""
+        if not self._scanned:
+            self._scanned = True
+            for point in entry_points(group=self.group):
+                self._targets.setdefault(point.name, point.value)
+        return self._targets
+
+
+DOMAINS: Registry[Domain] = Registry(
+    "domain",
+    "hvf.domains",
+    {"maze": "hvf.domains.maze:MAZE", "desk": "hvf.domains.desk:DESK"},
+)
+"""Places to plan in."""
+
+MODELS: Registry[ModelEntry] = Registry(
+    "model",
+    "hvf.models",
+    {
+        "keypoint": "hvf.models.keypoint:KEYPOINT",
+        "keypoint-generator": "hvf.models.keypoint:KEYPOINT_GENERATOR",
+        "temporal-distance": "hvf.models.temporal_distance:TEMPORAL_DISTANCE",
+        "layers": "hvf.models.layers:LAYERS",
+        "layers-generator": "hvf.models.layers:LAYERS_GENERATOR",
+        "cvae": "hvf.models.entry:CVAE",
+        "vae": "hvf.models.entry:VAE",
+    },
+)
+"""Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""
+
+METHODS: Registry[Method] = Registry(
+    "method",
+    "hvf.methods",
+    {
+        "none": "hvf.agents.method:NONE",
+        "hvf": "hvf.agents.method:HVF",
+        "ground-truth": "hvf.agents.method:GROUND_TRUTH",
+        "random": "hvf.agents.method:RANDOM",
+    },
+)
+"""What acts: where its subgoals come from, and how it chooses actions."""
+
+COSTS: Registry[Cost] = Registry(
+    "cost",
+    "hvf.costs",
+    {
+        "pixel": "hvf.worlds.costs:PIXEL",
+        "latent": "hvf.worlds.costs:LATENT",
+        "temporal": "hvf.worlds.costs:TEMPORAL",
+    },
+)
+"""What a predicted frame costs."""
