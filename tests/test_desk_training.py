@@ -21,8 +21,8 @@ from hvf.data.loader import EpisodePool, WindowSampler
 from hvf.models.checkpoint import load_model, read_tensors
 from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.layers.perception import LayerPerception
-from hvf.training import desk_dynamics
 from hvf.training.loop import LoopConfig
+from hvf.training.recipes import layers as layers_recipe
 from hvf.training.recipes.layers import (
     LayersTraining,
     train_layers,
@@ -53,7 +53,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def few_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Colours are found in as many frames as there are."""
-    monkeypatch.setattr(desk_dynamics, "_PAIRS", 400)
+    monkeypatch.setattr(layers_recipe, "_PAIRS", 400)
 
 
 def train(data: Path, out: Path, **settings: Any) -> str:
@@ -81,7 +81,7 @@ def whole(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that nothing stopped."""
     out = tmp_path_factory.mktemp("run")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(desk_dynamics, "_PAIRS", 400)
+        patch.setattr(layers_recipe, "_PAIRS", 400)
         train(data, out)
     return out
 
