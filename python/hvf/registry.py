@@ -109,13 +109,13 @@ MODELS: Registry[ModelEntry] = Registry(
     "model",
     "hvf.models",
     {
-        "keypoint": "hvf.models.keypoint:KEYPOINT",
-        "keypoint-generator": "hvf.models.keypoint:KEYPOINT_GENERATOR",
-        "temporal-distance": "hvf.models.temporal_distance:TEMPORAL_DISTANCE",
-        "layers": "hvf.models.layers:LAYERS",
-        "layers-generator": "hvf.models.layers:LAYERS_GENERATOR",
-        "cvae": "hvf.models.entry:CVAE",
-        "vae": "hvf.models.entry:VAE",
+        "keypoint": "hvf.models.catalogue:KEYPOINT",
+        "keypoint-generator": "hvf.models.catalogue:KEYPOINT_GENERATOR",
+        "temporal-distance": "hvf.models.catalogue:TEMPORAL_DISTANCE",
+        "layers": "hvf.models.catalogue:LAYERS",
+        "layers-generator": "hvf.models.catalogue:LAYERS_GENERATOR",
+        "cvae": "hvf.models.catalogue:CVAE",
+        "vae": "hvf.models.catalogue:VAE",
     },
 )
 """Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""

@@ -23,37 +23,12 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "hvf.cli.collect_desk:desk",
         "Collect episodes of the Franka desk under random actions.",
     ),
-    "train dynamics": ("hvf.cli.train:dynamics", "Train the compact dynamics model."),
-    "train desk-dynamics": (
-        "hvf.cli.train:desk_dynamics",
-        "Train the compact dynamics model of the desk.",
-    ),
-    "train desk-dynamics-large": (
-        "hvf.cli.train:desk_dynamics_large",
-        "The same at a size for a GPU.",
-    ),
-    "train desk-generator": (
-        "hvf.cli.train:desk_generator",
-        "Train the generator of subgoals that draws states of the desk.",
-    ),
-    "train subgoals": ("hvf.cli.train:subgoals", "Train the paper's CVAE of subgoal images."),
-    "train desk-subgoals": (
-        "hvf.cli.train:desk_subgoals",
-        "Train the paper's VAE of subgoal images of the desk.",
-    ),
-    "train keypoint-generator": (
-        "hvf.cli.train:keypoint_generator",
-        "Train the generator of subgoals for the compact dynamics model.",
-    ),
-    "train temporal-distance": (
-        "hvf.cli.train:temporal_distance",
-        "Train the learned distance in steps, a planning cost.",
-    ),
+    "train": ("hvf.cli.train:train", "Train a model; without a name, lists those that there are."),
     "probe desk": (
         "hvf.cli.probe:desk",
         "Errors of the desk's dynamics model, in images and in millimetres.",
     ),
-    "export weights": ("hvf.cli.export:weights", "Copy a trained model at half its size."),
+    "export": ("hvf.cli.export:export", "Copy a trained model at half its size."),
     "eval maze": ("hvf.cli.evaluate:maze", "Success of an agent in the maze, with its interval."),
     "eval desk": (
         "hvf.cli.evaluate_desk:desk",

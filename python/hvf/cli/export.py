@@ -25,10 +25,10 @@ class Export:
     target: Path
 
 
-def weights(config: Annotated[Export, tyro.conf.arg(name="")]) -> None:
+def export(config: Annotated[Export, tyro.conf.arg(name="")]) -> None:
     """Write a trained model in half precision, as the weights in the package are.
 
-    Example: hvf export weights --source runs/subgoals/model.safetensors --target cvae.safetensors
+    Example: hvf export --source runs/cvae/model.safetensors --target cvae.safetensors
     """
     size = export_half(config.source, config.target)
     Console().print(f"{config.target}: {size / 1e6:.1f} MB", highlight=False)

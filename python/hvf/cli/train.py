@@ -1,84 +1,89 @@
-"""``hvf train``: models from collected data."""
+"""``hvf train NAME``: models from recorded episodes."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from hvf.training.recipes.keypoint import DynamicsTraining, train_dynamics
-from hvf.training.recipes.keypoint_generator import GeneratorTraining, train_keypoint_generator
-from hvf.training.recipes.layers import (
-    LargeLayersTraining,
-    LayersTraining,
-    train_layers,
-)
-from hvf.training.recipes.layers_generator import LayersGeneratorTraining, train_layers_generator
-from hvf.training.recipes.temporal_distance import TemporalDistanceTraining, train_temporal_distance
-from hvf.training.recipes.vae import DeskSubgoalTraining, SubgoalTraining, train_subgoals
+from hvf.registry import MODELS
 
 
-def dynamics(config: Annotated[DynamicsTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the compact dynamics model of the maze.
+def recipe_class(name: str) -> type[Any]:
+    """The :class:`~hvf.training.recipe.Recipe` of the model ``name``: the options of training it.
 
-    Ctrl-C stops; the same command goes on from there.
+    Raises:
+        ValueError: no such model, or one that is not trained here.
     """
-    train_dynamics(config)
+    from hvf.training.recipe import recipe_class as found  # torch, which takes a second
+
+    return found(name)
 
 
-def desk_dynamics(config: Annotated[LayersTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the compact dynamics model of the Franka desk.
+def trainable() -> list[str]:
+    """Names of the models that can be trained here; imports none of them."""
+    return [name for name in MODELS if MODELS[name].recipe is not None]
 
-    Ctrl-C stops; the same command goes on from there.
+
+def train(name: str, recipe: Any) -> None:
+    """Train a model, or go on with a run that was stopped."""
+    from hvf.training.recipe import run
+
+    run(recipe)
+
+
+def prepare(command: Callable[..., Any], words: Sequence[str]) -> Callable[..., Any]:
+    """The command with the options of the model that ``words`` names, and its preset filled in.
+
+    Without a model, the command shows which there are.
     """
-    train_layers(config)
+    names = trainable()
+    chosen = words[0] if words and words[0] in names else None
+    if chosen is None:
+        return _which(names)
+    kind = recipe_class(chosen)
+    preset = _preset(words, list(kind.presets))
+    default = kind.of(preset, data=tyro.MISSING)
+
+    def prepared(name: Any, recipe: Any = default) -> Any:
+        return command(name, recipe)
+
+    presets = ", ".join(["default", *kind.presets])
+    prepared.__doc__ = (
+        f"{MODELS[chosen].about}\n\nCtrl-C stops; the same command goes on from there. "
+        f"Presets: {presets}. Example: hvf train {chosen} --data data/episodes.h5"
+    )
+    prepared.__annotations__ = {
+        "name": _one_of([chosen]),
+        "recipe": Annotated[kind, tyro.conf.arg(name="")],
+    }
+    return prepared
 
 
-def desk_dynamics_large(
-    config: Annotated[LargeLayersTraining, tyro.conf.arg(name="")],
-) -> None:
-    """Train the compact dynamics model of the Franka desk at a size for a GPU.
+def _which(names: Sequence[str]) -> Callable[..., Any]:
+    """A command that takes the name of a model, and is never run: it explains."""
 
-    Ctrl-C stops; the same command goes on from there.
-    """
-    train_layers(config)
+    def which(name: Any) -> None: ...
 
-
-def desk_generator(config: Annotated[LayersGeneratorTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the generator of subgoals that draws states of the Franka desk.
-
-    Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
-    """
-    train_layers_generator(config)
+    listed = "\n\n".join(f"{name}: {MODELS[name].about}" for name in names)
+    which.__doc__ = f"Train a model; hvf train NAME --help lists its options.\n\n{listed}"
+    which.__annotations__ = {"name": _one_of(names)}
+    return which
 
 
-def subgoals(config: Annotated[SubgoalTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the conditional variational autoencoder that draws subgoal images of the maze.
-
-    Ctrl-C stops; the same command goes on from there.
-    """
-    train_subgoals(config)
+def _one_of(names: Sequence[str]) -> Any:
+    """The type of a positional argument that is one of ``names``."""
+    literal: Any = Literal
+    return Annotated[literal[tuple(names)], tyro.conf.Positional]
 
 
-def desk_subgoals(config: Annotated[DeskSubgoalTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the variational autoencoder that draws subgoal images of the Franka desk.
-
-    Ctrl-C stops; the same command goes on from there.
-    """
-    train_subgoals(config)
-
-
-def keypoint_generator(config: Annotated[GeneratorTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the generator of subgoals that draws keypoints for the compact dynamics model.
-
-    Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
-    """
-    train_keypoint_generator(config)
-
-
-def temporal_distance(config: Annotated[TemporalDistanceTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the classifier of the steps between two frames, a planning cost for the maze.
-
-    Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
-    """
-    train_temporal_distance(config)
+def _preset(words: Sequence[str], presets: Sequence[str]) -> str:
+    """The last of the presets named; the recipe refuses one that there is not."""
+    found = "default"
+    for word, following in zip(words, [*words[1:], ""], strict=True):
+        option, equals, value = word.partition("=")
+        if option == "--preset":
+            value = value if equals else following
+            found = value if value in presets else found
+    return found
