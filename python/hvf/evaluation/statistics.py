@@ -11,8 +11,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from scipy import stats
-
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     """95% confidence interval of a success rate (Wilson score interval).
@@ -20,6 +18,8 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     Raises:
         ValueError: no trials, or more successes than trials.
     """
+    from scipy import stats  # slow to import, and every command imports this file
+
     if not 0 <= successes <= trials or trials == 0:
         raise ValueError(f"successes: must be from 0 to {trials} of 1 or more, got {successes}")
     interval = stats.binomtest(successes, trials).proportion_ci(method="wilson")
@@ -80,6 +80,8 @@ class Paired:
         Raises:
             ValueError: a negative number, or no episodes.
         """
+        from scipy import stats
+
         counts = (both, only_a, only_b, neither)
         if min(counts) < 0 or not sum(counts):
             raise ValueError(f"counts: must be 0 or more, and one at least, got {counts}")

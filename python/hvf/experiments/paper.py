@@ -29,10 +29,9 @@ PUBLISHED_TRIALS = 100
 """Trials behind each number of the paper."""
 
 LEGEND = (
-    "Cells are success over the first trials of a split with 95% Wilson intervals. In brackets "
-    "the paper's number, where it gives one, and whether ours is higher or lower, or agrees: the "
-    "95% interval of the difference (Newcombe's, for separate samples of which the paper's has "
-    "100 trials) lies above 0, below, or around it."
+    "Success with its 95% Wilson interval; behind it the paper's number, where it gives one, and "
+    "whether ours is higher or lower, or agrees: the 95% interval of the difference (Newcombe's, "
+    "for separate samples of which the paper's has 100 trials) lies above 0, below, or around it."
 )
 
 
@@ -292,13 +291,22 @@ def paper(
         for evaluation, report in found.items()
         if report is not None and report.trials
     }
-    return markdown(chosen, reports, setup), failures
+    options = setup.options
+    options += f" --trials {trials}" if trials != 100 else ""
+    options += f" --out {folder}" if folder != Path("results", setup.domain) else ""
+    return markdown(chosen, reports, f"{setup.domain} {options}"), failures
 
 
 def markdown(
-    chosen: Sequence[PaperTable], reports: Mapping[Evaluation, Report], setup: Setup
+    chosen: Sequence[PaperTable], reports: Mapping[Evaluation, Report], options: str
 ) -> str:
-    """Tables with our numbers, the paper's, and verdicts; blank where there is no report."""
+    """Tables with our numbers, the paper's, and verdicts; blank where there is no report.
+
+    Args:
+        chosen: tables.
+        reports: what there is.
+        options: those of ``hvf paper`` that make them.
+    """
     lines = []
     for table in chosen:
         lines += [
@@ -311,7 +319,7 @@ def markdown(
                 for name, cells in table.rows.items()
             ),
             "",
-            f"`hvf paper {setup.domain} --only {table.name} {setup.options}`",
+            f"`hvf paper {options} --only {table.name}`",
             "",
         ]
     return "\n".join([*lines, LEGEND, *(notes(reports.values()) if reports else [])])

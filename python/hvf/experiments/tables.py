@@ -99,6 +99,7 @@ def markdown(reports: Mapping[Path, Report], domain: Domain, split: str | None =
         [
             *_rates(rows, domain),
             "",
+            "In brackets 95% Wilson intervals.",
             *notes(chosen.values()),
             *_differences(rows, baselines, domain),
         ]
@@ -120,8 +121,9 @@ def made_by(reports: Iterable[Report]) -> str:
     """The code that made reports, in a sentence."""
     commits = set()
     for report in reports:
-        commit = str(report.code.get("commit") or f"version {report.code.get('version')}")
-        commits.add(commit[:10] + (" with changes" if report.code.get("changes") else ""))
+        commit = report.code.get("commit")
+        words = str(commit)[:10] if commit else f"version {report.code.get('version')}"
+        commits.add(words + (" with changes" if report.code.get("changes") and commit else ""))
     return f"Code: {', '.join(sorted(commits))}."
 
 
@@ -295,8 +297,7 @@ def notes(reports: Iterable[Report]) -> list[str]:
     reports = list(reports)
     episodes = f"split {reports[0].split}, " if reports[0].split else ""
     notes = [
-        f"Episodes: {episodes}seed {reports[0].seed}; 100 where no n is given. "
-        "In brackets 95% Wilson intervals.",
+        f"Episodes: {episodes}seed {reports[0].seed}; 100 where no n is given.",
         made_by(reports),
     ]
     weights: dict[tuple[str, str], set[str]] = {}
