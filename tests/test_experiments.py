@@ -16,11 +16,9 @@ from hvf.cli import main
 from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report, TrialRecord, load, save
 from hvf.evaluation.run import evaluate
+from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.experiments.paper import (
     EXPERIMENTS,
-    Cell,
-    PaperTable,
-    Setup,
     files,
     paper,
     tables,
@@ -117,6 +115,44 @@ def test_a_cell_differs_from_its_preset_in_what_its_table_says_only() -> None:
     assert latent == Evaluation.of(
         "maze", "paper", method="none", subgoals=0, task="easy", split="test", cost="latent"
     )
+
+
+def test_the_ablation_goes_from_our_settings_to_the_papers_one_at_a_time() -> None:
+    assert "ablation" not in {table.name for table in tables(PAPER)}
+    (table,) = tables(Setup("maze", split="validation"), ["ablation"])
+    ours = Evaluation.of("maze", "default", subgoals=2)
+    published = Evaluation.of("maze", "paper", subgoals=2)
+    searched = {name: cells[1].evaluation for name, cells in table.rows.items()}
+    assert (searched.pop("default"), searched.pop("paper")) == (ours, published)
+
+    def settings(evaluation: Evaluation | None) -> dict[str, object]:
+        assert evaluation is not None
+        world = evaluation.place.resolved(evaluation.world)
+        return {**vars(evaluation.planning), "generator": world.generator}
+
+    def differences(one: Evaluation | None, other: Evaluation) -> dict[str, object]:
+        return {k: v for k, v in settings(one).items() if v != settings(other)[k]}
+
+    one_by_one = {"default": {}, "paper": {}}
+    for name, evaluation in searched.items():
+        start = name.split(",")[0].split(" ")[0]
+        one_by_one[start] |= differences(evaluation, {"default": ours, "paper": published}[start])
+    # Together they are all that there is between the two.
+    assert one_by_one["default"] == differences(published, ours)
+    assert one_by_one["paper"] == differences(ours, published)
+    # What only a search of subgoals has is not run without one.
+    assert [cells[0].evaluation is None for cells in table.rows.values()].count(True) == 4
+    files([table, *tables(PAPER)], Path())
+
+
+def test_evaluations_that_would_share_a_file_are_refused() -> None:
+    same = [
+        Evaluation.of("maze", "paper", method="none", subgoals=0, generator=generator)
+        for generator in ("cvae", "keypoint-generator")
+    ]
+    rows = {"a": tuple(map(Cell, same))}
+    with pytest.raises(ValueError, match="file of 2 evaluations"):
+        files([PaperTable("x", "X", "x", ("one", "two"), rows)], Path())
 
 
 def test_the_world_can_be_another() -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from hvf.cli.arguments import domain_named, parsed
-from hvf.experiments.paper import EXPERIMENTS, Setup, paper
+from hvf.experiments.cells import Setup
+from hvf.experiments.paper import EXPERIMENTS, paper
 
 
 @dataclasses.dataclass(frozen=True)
