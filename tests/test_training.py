@@ -29,7 +29,7 @@ from hvf.models.checkpoint import (
     save_model,
 )
 from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
+from hvf.images import frame_grid
 
 QUIET = Console(quiet=True)
 

@@ -11,11 +11,11 @@ import torch
 from rich.console import Console
 
 from hvf.data.loader import EpisodePool, PairSampler
+from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics
 from hvf.models.keypoint.perception import KeypointPerception
 from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
 from hvf.training.tracks.keypoints import Transitions, TransitionSampler
 
 # Validation: windows of this many steps from each held-out episode, and how many are drawn.

@@ -13,11 +13,11 @@ from rich.console import Console
 
 import hvf_core
 from hvf.data.loader import EpisodePool
+from hvf.images import frame_grid
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.keypoint.generator import GeneratorConfig, KeypointGenerator
 from hvf.training.loop import LoopConfig, Validation
 from hvf.training.on_keypoints import OnKeypoints, train_on_keypoints
-from hvf.training.pictures import frame_grid
 from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld
 
 _SHOWN = 10

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from hvf.data.loader import EpisodePool, WindowSampler
+from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.layers.arm import ArmConfig
 from hvf.models.layers.cell import CellConfig
 from hvf.models.layers.dynamics import LayerDynamics, LayerDynamicsConfig
 from hvf.models.layers.perception import LayerPerception, LayerPerceptionConfig
 from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
 from hvf.training.tracks.layers import LayerSampler, LayerTracks
 
 # Colours are found in this many pairs of frames, ten steps apart.

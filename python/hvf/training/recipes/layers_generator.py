@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from hvf.data.loader import EpisodePool
+from hvf.images import frame_grid
 from hvf.models.checkpoint import load_model
 from hvf.models.frames import to_frames
 from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
 from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
 from hvf.training.tracks.layers import LayerTracks
 
 _SHOWN = 10

@@ -13,11 +13,11 @@ from rich.console import Console
 from torch.nn import functional as F
 
 from hvf.data.loader import EpisodePool
+from hvf.images import frame_grid
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.temporal_distance import TemporalDistance, TemporalDistanceConfig
 from hvf.training.loop import LoopConfig, Validation
 from hvf.training.on_keypoints import OnKeypoints, train_on_keypoints
-from hvf.training.pictures import frame_grid
 
 _SHOWN = 10
 _PAIRS = 8192

@@ -15,10 +15,10 @@ from rich.console import Console
 
 import hvf_core
 from hvf.data.loader import EpisodePool, PairSampler
+from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.vae import CVAE, DESK_VAE, CVAEConfig, gaussian_kl
 from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
 
 # Held-out pairs that a validation measures, and how many of them its picture shows.
 _PAIRS = 256
