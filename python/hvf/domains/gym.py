@@ -117,7 +117,7 @@ class GymTrials:
     def __init__(self, vector: SyncVectorEnv, where: GymEnv, seed: int, first: int) -> None:
         self._vector, self._where = vector, where
         count = vector.num_envs
-        seeds = [
+        seeds: list[int | None] = [
             int(np.random.SeedSequence([seed, first + i]).generate_state(1)[0] >> 1)
             for i in range(count)
         ]
