@@ -49,10 +49,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "hvf.cli.train:temporal_distance",
         "Train the learned distance in steps, a planning cost.",
     ),
-    "probe desk": (
-        "hvf.cli.probe:desk",
-        "Errors of the desk's dynamics model, in images and in millimetres.",
-    ),
+    "probe": ("hvf.cli.probe:probe", "Errors of a model's predictions, images and millimetres."),
     "export weights": ("hvf.cli.export:weights", "Copy a trained model at half its size."),
     "eval maze": ("hvf.cli.evaluate:maze", "Success of an agent in the maze, with its interval."),
     "eval desk": (
