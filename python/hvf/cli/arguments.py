@@ -57,13 +57,20 @@ def domain_named(verb: str, words: Sequence[str]) -> tuple[Domain, list[str]]:
     return domain, rest
 
 
-def parsed(config: type[ConfigT], verb: str, words: Sequence[str], **settings: Any) -> ConfigT:
+def parsed(
+    config: type[ConfigT],
+    verb: str,
+    words: Sequence[str],
+    prefixes: bool = False,
+    **settings: Any,
+) -> ConfigT:
     """A config from the command line.
 
     Args:
         config: its class; a dataclass, whose docstring is the help.
         verb: with the name that follows it, for the usage line.
         words: the rest of the command line.
+        prefixes: whether options of inner dataclasses are called ``--loop.steps``, not ``--steps``.
         settings: keywords of :func:`tyro.cli`: ``default``, ``description``.
 
     Raises:
@@ -74,7 +81,7 @@ def parsed(config: type[ConfigT], verb: str, words: Sequence[str], **settings: A
         config,
         prog=f"hvf {verb}",
         args=list(words),
-        config=(tyro.conf.OmitArgPrefixes,),
+        config=() if prefixes else (tyro.conf.OmitArgPrefixes,),
         **settings,
     )
     return made
@@ -96,9 +103,7 @@ def evaluating(
         own: settings that the command begins with in place of the preset's: of the evaluation, or
             of the config itself.
     """
-    scanner = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    scanner.add_argument("--preset", default="default")
-    preset = scanner.parse_known_args(list(words))[0].preset
+    preset = preset_named(words)
     fields = {field.name for field in dataclasses.fields(config)}  # type: ignore[arg-type]
     mine = {name: value for name, value in own.items() if name in fields}
     rest = {name: value for name, value in own.items() if name not in fields}
@@ -112,6 +117,13 @@ def evaluating(
         default=default,
         description=f"{about}\n\n{choices(domain)}",
     )
+
+
+def preset_named(words: Sequence[str]) -> str:
+    """The preset that a command line asks for: its settings are the defaults of the others."""
+    scanner = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    scanner.add_argument("--preset", default="default")
+    return str(scanner.parse_known_args(list(words))[0].preset)
 
 
 def choices(domain: Domain) -> str:

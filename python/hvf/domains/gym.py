@@ -5,8 +5,8 @@
 
     DOMAINS.register("reach", gym_domain("reach", "My/Reach-v0", steps=50))
 
-Then ``hvf collect reach``, ``hvf train cvae --data FILE``, ``hvf eval reach``, ``hvf plan reach``, and
-``hvf demo reach`` work as for the maze. Nothing but images, actions and success is asked of the
+Then ``hvf collect reach``, ``hvf train cvae --data FILE``, ``hvf eval reach``, ``hvf plan reach``
+and ``hvf demo reach`` work as for the maze. Nothing but images, actions and success is asked of the
 environment: there are no ground-truth subgoals and no simulator to plan with.
 """
 
@@ -114,7 +114,7 @@ class GymTrials:
         first: number of the first.
     """
 
-    def __init__(self, vector: VectorEnv[Any, Any, Any], where: GymEnv, seed: int, first: int):
+    def __init__(self, vector: SyncVectorEnv, where: GymEnv, seed: int, first: int) -> None:
         self._vector, self._where = vector, where
         count = vector.num_envs
         seeds = [

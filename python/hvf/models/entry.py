@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias
 from hvf.registry import imported
 
 Role: TypeAlias = Literal["dynamics", "generator", "distance"]
-"""What a model is good for: predicting frames, drawing subgoals, measuring how far frames are."""
+"""What a model is good for: predicting frames, drawing subgoals, or measuring how far they are."""
 
 
 @dataclass(frozen=True)
