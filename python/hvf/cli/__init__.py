@@ -16,6 +16,8 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from hvf.interrupts import sigterm_as_interrupt
+
 # Name to (module:function, summary). Modules are imported when their command is run.
 COMMANDS: dict[str, tuple[str, str]] = {
     "collect maze": ("hvf.cli.collect:maze", "Collect episodes of the maze under random actions."),
@@ -79,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         Exit status: 0; 2 for input that cannot be used (a wrong option, value or file), 1 for
-        what failed on the way (a full disk, an error of torch), 130 on Ctrl-C.
+        what failed on the way (a full disk, an error of torch), 130 on Ctrl-C or SIGTERM.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = next((" ".join(words[:n]) for n in (2, 1) if " ".join(words[:n]) in COMMANDS), None)
@@ -88,7 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console = Console(stderr=True)
     try:
         words = words[len(name.split()) :]
-        tyro.cli(_load(name, words), prog=f"hvf {name}", args=words)
+        with sigterm_as_interrupt():
+            tyro.cli(_load(name, words), prog=f"hvf {name}", args=words)
     except KeyboardInterrupt:
         return 130
     except (ValueError, TypeError, OSError, RuntimeError, ImportError) as error:
