@@ -69,6 +69,11 @@ def test_settings_reach_into_fields_of_fields() -> None:
     )
 
 
+def test_paths_may_be_words() -> None:
+    recipe = recipe_class("layers-generator").of("default", data="x.h5", dynamics="y", out="z")
+    assert (recipe.data, recipe.dynamics, recipe.folder) == (Path("x.h5"), Path("y"), Path("z"))
+
+
 def test_fields_that_fit_only_together_are_set_together() -> None:
     both = {"model.channels": (4, 8), "model.strides": (2, 2)}
     assert CVAERecipe.of("default", data=Path("x.h5"), **both).model.strides == (2, 2)
