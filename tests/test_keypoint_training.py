@@ -21,6 +21,8 @@ from hvf.worlds import MazeWorldConfig, load_maze
 
 torch = pytest.importorskip("torch")
 
+from hvf.worlds.costs import DistanceWorld, LatentDistance, StepsDistance  # noqa: E402
+
 from hvf.models.frames import to_unit  # noqa: E402
 from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
 from hvf.models.keypoint.perception import KeypointPerception  # noqa: E402
@@ -31,7 +33,6 @@ from hvf.training.loop import LoopConfig  # noqa: E402
 from hvf.training.recipe import train  # noqa: E402
 from hvf.training.recipes.temporal_distance import KeypointPairs  # noqa: E402
 from hvf.training.tracks.keypoints import Transitions, TransitionSampler  # noqa: E402
-from hvf.worlds.costs import DistanceWorld, LatentDistance, StepsDistance  # noqa: E402
 from hvf.worlds.keypoint import KeypointWorld  # noqa: E402
 
 QUIET = Console(quiet=True)

@@ -22,6 +22,7 @@ from safetensors.torch import save_file
 
 import hvf
 from hvf.files import replacing, write_bytes
+from hvf.images import frame_grid
 from hvf.models.checkpoint import (
     config_from_json,
     export_half,
@@ -35,7 +36,6 @@ from hvf.models.entry import ModelEntry
 from hvf.registry import MODELS
 from hvf.training import loop as loop_module
 from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
 from hvf.training.state import fitted, save_state
 
 QUIET = Console(quiet=True)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hvf.agents.method import Method
     from hvf.domains.domain import Domain
     from hvf.models.entry import ModelEntry
-    from hvf.worlds.costs import Cost
+    from hvf.worlds.cost import Cost
 
 T = TypeVar("T")
 
@@ -136,9 +136,9 @@ COSTS: Registry[Cost] = Registry(
     "cost",
     "hvf.costs",
     {
-        "pixel": "hvf.worlds.costs:PIXEL",
-        "latent": "hvf.worlds.costs:LATENT",
-        "temporal": "hvf.worlds.costs:TEMPORAL",
+        "pixel": "hvf.worlds.cost:PIXEL",
+        "latent": "hvf.worlds.cost:LATENT",
+        "temporal": "hvf.worlds.cost:TEMPORAL",
     },
 )
 """What a predicted frame costs."""

@@ -21,11 +21,11 @@ from rich.table import Table
 from hvf.data.formats.hdf5 import EpisodeFile
 from hvf.evaluation.image_quality import Measure, perceptual_distance, psnr, ssim
 from hvf.files import write_bytes
+from hvf.images import frame_grid, write_png
 from hvf.models.checkpoint import load_model
 from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.probe import PositionProbe, PositionProbeConfig
 from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid, write_png
 from hvf.worlds.layers import LayerWorld
 
 HORIZON = 15

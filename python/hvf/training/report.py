@@ -22,7 +22,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from hvf.training.pictures import write_png
+from hvf.images import write_png
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from hvf.data.loader import EpisodePool, PairSampler
+from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics
 from hvf.models.keypoint.perception import KeypointPerception
 from hvf.training.loop import LoopConfig, Validation, seeded
-from hvf.training.pictures import frame_grid
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
 from hvf.training.tracks.keypoints import Transitions, TransitionSampler
 

@@ -12,11 +12,11 @@ import torch
 from numpy.typing import NDArray
 
 from hvf.data.loader import EpisodePool, WindowSampler
+from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.layers.dynamics import LayerDynamics, LayerDynamicsConfig
 from hvf.models.layers.perception import LayerPerception
 from hvf.training.loop import LoopConfig, Validation, seeded
-from hvf.training.pictures import frame_grid
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
 from hvf.training.state import fitted
 from hvf.training.tracks.kept import checksum

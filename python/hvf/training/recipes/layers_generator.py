@@ -12,12 +12,12 @@ import torch
 from numpy.typing import NDArray
 
 from hvf.data.loader import EpisodePool
+from hvf.images import frame_grid
 from hvf.models.checkpoint import load_model
 from hvf.models.frames import to_frames
 from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
 from hvf.training.loop import LoopConfig, Validation, seeded
-from hvf.training.pictures import frame_grid
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
 from hvf.training.tracks.kept import checksum
 from hvf.training.tracks.layers import LayerTracks

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from torch.nn import functional as F
 
 from hvf.data.loader import EpisodePool
+from hvf.images import frame_grid
 from hvf.models.checkpoint import load_model
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.temporal_distance import TemporalDistance, TemporalDistanceConfig
 from hvf.training.loop import LoopConfig, Validation, seeded
-from hvf.training.pictures import frame_grid
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
 from hvf.training.tracks.kept import checksum
 from hvf.training.tracks.keypoints import Transitions

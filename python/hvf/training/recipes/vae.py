@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import hvf_core
 from hvf.data.loader import EpisodePool, PairSampler
+from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.vae import (
     BAIR_CVAE,
@@ -25,7 +26,6 @@ from hvf.models.vae import (
     gaussian_kl,
 )
 from hvf.training.loop import LoopConfig, Validation, seeded
-from hvf.training.pictures import frame_grid
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
 
 # Held-out pairs that a validation measures, and how many of them its picture shows.

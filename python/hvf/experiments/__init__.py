@@ -1,0 +1,1 @@
+"""Tables of results, and the paper's experiments as lists of evaluations."""
