@@ -90,7 +90,8 @@ class TrainingData:
         self.console = console
         self._seed = seed
         self._pools: list[EpisodePool] = []
-        self.held_out = self._open("validation")
+        # All of them, whatever their size: what is left out here would be learned from.
+        self.held_out = self._open("validation", memory_gb=1e6)
         self.held_out.move_to(0)
         self.metadata = self.held_out.metadata
 
