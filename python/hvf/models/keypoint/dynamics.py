@@ -79,9 +79,12 @@ class KeypointDynamics(nn.Module):
         return self
 
     def observe(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Keypoints `[N, 2]` and scene maps `[N, S, S]` of uint8 `images [N, S, S, 3]`."""
+        """Keypoints `[N, 2]` and scene maps `[N, S, S]` of uint8 `images [N, S, S, 3]`.
+
+        Warns once if the images look like nothing that perception was trained on.
+        """
         unit = to_unit(images)
-        keypoints = self.perception.keypoints(unit)
+        keypoints = self.perception.find(unit)
         return keypoints, self.maps(self.background(unit, keypoints))
 
     def background(self, images: Tensor, keypoints: Tensor) -> Tensor:
