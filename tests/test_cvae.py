@@ -16,24 +16,26 @@ from torch import nn
 
 import hvf_core
 from hvf.data.collect import CollectConfig, collect_maze
+from hvf.data.episodes import Episodes, Metadata
+from hvf.data.formats.hdf5 import write_episodes
 from hvf.models.checkpoint import load_model, read_header
 from hvf.models.frames import to_unit
 from hvf.models.vae import (
     BAIR_CVAE,
     CVAE,
     DESK_VAE,
+    PAPER_CVAE,
+    PAPER_VAE,
+    VAE,
     CVAEConfig,
     gaussian_kl,
     pyramid_loss,
 )
 from hvf.training.loop import LoopConfig, seeded, train
-from hvf.training.recipes.vae import (
-    SubgoalTraining,
-    maze_probe,
-    train_subgoals,
-    validate_subgoals,
-)
+from hvf.training.recipe import train as train_model
+from hvf.training.recipes.vae import maze_probe, validate_subgoals
 
+QUIET = Console(quiet=True)
 SMALL = CVAEConfig(
     image_size=(16, 16),
     channels=(8, 16),
@@ -315,23 +317,146 @@ def test_a_short_training_draws_the_right_square_on_the_right_scene(tmp_path: Pa
 def test_training_writes_what_the_planner_loads(data: Path, tmp_path: Path) -> None:
     model = CVAEConfig(channels=(4, 8, 8, 8), scene_layers=(8,), image_layers=(8,))
     loop = LoopConfig(steps=2, device="cpu", threads=1)
-    config = SubgoalTraining(data, tmp_path, batch_size=2, model=model, loop=loop)
-    trained = train_subgoals(config, Console(quiet=True))
+    trained = train_model(
+        "cvae", data, out=tmp_path, batch_size=2, model=model, loop=loop, console=QUIET
+    )
     loaded = load_model(tmp_path / "model.safetensors", CVAE, environment="maze")
     assert loaded.config == model
     latent, scene = torch.randn(3, 8), torch.rand(1, 3, 64, 64)
     torch.testing.assert_close(loaded.decode(latent, scene), trained.decode(latent, scene))
     found = read_header(tmp_path / "model.safetensors").training
-    assert found["command"] == "hvf train subgoals"
+    assert found["command"] == "hvf train cvae"
     assert found["data"]["episodes"] == 30
     assert found["validation"].keys() >= {"kl", "mse", "agent_mm", "gap_mm", "sharp_samples"}
     assert (tmp_path / "pictures/subgoals_0000002.png").exists()
 
 
-def test_data_of_another_size_is_refused(data: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"maze\.h5: frames are \(64, 64\)"):
-        train_subgoals(SubgoalTraining(data, tmp_path, model=SMALL), Console(quiet=True))
-    assert not list(tmp_path.iterdir())
+def test_the_size_of_images_is_the_datas(data: Path, tmp_path: Path) -> None:
+    loop = LoopConfig(steps=1, device="cpu", threads=1)
+    model = train_model(
+        "cvae", data, out=tmp_path, batch_size=2, model=SMALL, loop=loop, console=QUIET
+    )
+    assert model.config == dataclasses.replace(SMALL, image_size=(64, 64))
+
+
+def test_any_environments_images_train_a_cvae_and_too_small_ones_are_refused(
+    tmp_path: Path,
+) -> None:
+    loop = LoopConfig(steps=1, device="cpu", threads=1)
+    for size in ((8, 12), (4, 4)):
+        path = tmp_path / f"{size[0]}.h5"
+        frames = np.random.default_rng(0).integers(0, 256, (4, 6, *size, 3), np.uint8)
+        moves, states = np.zeros((4, 5, 7), np.float32), np.zeros((4, 6, 1))
+        write_episodes(path, Metadata("kitchen", {}, 0, 5, 4, {}), Episodes(frames, moves, states))
+        settings = {"out": tmp_path / "run", "model": SMALL, "loop": loop, "console": QUIET}
+        if size == (4, 4):
+            with pytest.raises(ValueError, match=r"4\.h5: the model cannot take its images"):
+                train_model("cvae", path, **settings)
+            continue
+        assert train_model("cvae", path, **settings).config.image_size == size
+        header = read_header(tmp_path / "run/model.safetensors")
+        assert header.environment == "kitchen"
+        assert header.training["validation"].keys() == {"kl", "latents_used", "mse"}
+
+
+# ---- the paper's configuration -----------------------------------------------------------------
+
+
+def test_the_papers_cvae_has_the_layers_of_the_released_code() -> None:
+    model = CVAE(PAPER_CVAE)
+    assert sum(weights.numel() for weights in model.parameters()) == 2_862_931
+    image = torch.rand(2, 3, 64, 64)
+    sides = [image.shape[-1]]
+    for layer in model.encoder:
+        image = layer(image)
+        if isinstance(layer, nn.Conv2d):
+            sides.append(image.shape[-1])
+    assert sides == [64, 31, 15, 7, 3]
+    # Linear at the end of the encoder, of the scene's layers and before the decoder.
+    assert not isinstance(model.encoder[-1], nn.ReLU)
+    assert [type(layer).__name__ for layer in model.image] == (
+        ["Linear", "ReLU"] * 2 + ["Linear", "Linear"]
+    )
+    assert "mean_image" not in model.state_dict()
+    with pytest.raises(ValueError, match="centre: "):
+        model.centre(frames(2, (64, 64)))
+
+
+@pytest.mark.parametrize("config", [PAPER_CVAE, PAPER_VAE], ids=["cvae", "vae"])
+def test_the_papers_loss_is_the_evidence_bound_of_the_second_given_the_first(
+    config: CVAEConfig,
+) -> None:
+    model = seeded(0, lambda: (CVAE if config.conditional else VAE)(config))
+    batch = {"image": frames(3, (64, 64), 1), "scene": frames(3, (64, 64), 2)}
+    loss, parts = model.loss(batch, torch.Generator().manual_seed(7), 0)
+    image, scene = to_unit(batch["image"]).double(), to_unit(batch["scene"]).double()
+    model = model.double()
+    features = [
+        model.encoder(x).flatten(1) for x in ([scene, image] if config.conditional else [image])
+    ]
+    mean, second = model.posterior(torch.cat(features, 1)).double().chunk(2, 1)
+    std = second.clamp_min(0)
+    assert 0 < float((std == 0).double().mean()) < 1
+    noise = torch.randn(3, 8, generator=torch.Generator().manual_seed(7)).double()
+    given_scene = scene if config.conditional else None
+    drawn = torch.sigmoid(model.decode_logits(mean + noise * std, given_scene).double())
+    drawn = drawn.clamp(1e-5, 1 - 1e-5).detach()
+    likelihood = torch.distributions.Bernoulli(drawn, validate_args=False).log_prob(image)
+    std, mean = std.detach(), mean.detach()
+    kl = 0.5 * (-1 - (1e-5 + std**2).log() + mean**2 + std**2).sum(1)
+    expected = -likelihood.sum((1, 2, 3)).mean() + kl.mean()
+    assert float(loss.detach()) == pytest.approx(float(expected), rel=1e-5)
+    assert float(parts["kl"]) == pytest.approx(float(kl.mean()), rel=1e-4)
+
+
+@given(
+    height=st.integers(8, 30),
+    width=st.integers(8, 30),
+    strides=st.lists(st.integers(1, 2), min_size=1, max_size=2),
+)
+@settings(max_examples=25)
+def test_unpadded_images_of_any_size_are_decoded_to_theirs(
+    height: int, width: int, strides: list[int]
+) -> None:
+    config = dataclasses.replace(
+        SMALL, padding="valid", image_size=(height, width), channels=(2, 3)[: len(strides)],
+        strides=tuple(strides),
+    )  # fmt: skip
+    images = torch.rand(2, 3, height, width)
+    model = CVAE(config)
+    assert tuple(model.encoder(images).shape[2:]) == config.sizes[-1]
+    assert model.decode(model.encode(images, images)[0], images).shape == images.shape
+
+
+def test_weights_of_the_paper_are_cut_normal() -> None:
+    model = seeded(0, lambda: CVAE(PAPER_CVAE))
+    for layer, inputs in (
+        (model.encoder[2], 16 * 9),
+        (model.decoder[0], 128 * 9),
+        (model.posterior[0], 2304),
+    ):
+        spread = layer.weight.detach() * inputs**0.5
+        assert float(spread.abs().max()) <= 2.0 + 1e-5
+        assert float(spread.std()) == pytest.approx(0.88, abs=0.02)  # of a normal cut at 2
+        assert not layer.bias.any()
+
+
+def test_a_vae_has_no_scene() -> None:
+    with pytest.raises(ValueError, match="conditional must be False"):
+        VAE(CVAEConfig())
+    with pytest.raises(ValueError, match=r"model\.conditional must be False"):
+        train_model("vae", "none.h5", **{"model.conditional": True, "model.scene_layers": (8,)})
+
+
+def test_ours_has_not_changed() -> None:
+    """Weights and loss as they were before there were other configurations."""
+    config = CVAEConfig(channels=(4, 8, 8, 8), scene_layers=(8,), image_layers=(8,))
+    model = seeded(3, lambda: CVAE(config)).centre(frames(20, (64, 64)))
+    batch = {"image": frames(2, (64, 64), 1), "scene": frames(2, (64, 64), 2)}
+    loss, _ = model.loss(batch, torch.Generator().manual_seed(1), 100)
+    total = sum(float(value.double().sum()) for value in model.state_dict().values())
+    assert total == pytest.approx(6132.209955076313, rel=1e-7)
+    assert float(loss.detach()) == pytest.approx(9728.3759765625, rel=1e-5)
 
 
 def test_the_probe_calls_true_images_sharp_and_others_not() -> None:

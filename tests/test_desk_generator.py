@@ -25,12 +25,8 @@ from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
 from hvf.models.layers.perception import LayerPerception
 from hvf.training.loop import LoopConfig
-from hvf.training.recipes.layers_generator import (
-    LayersGeneratorTraining,
-    StatePairs,
-    train_layers_generator,
-    validate_layers_generator,
-)
+from hvf.training.recipe import train as train_model
+from hvf.training.recipes.layers_generator import StatePairs, validate_layers_generator
 from hvf.training.tracks.layers import LayerTracks
 from hvf.worlds.layers import LayerWorld
 from hvf.worlds.layers_subgoals import StateSubgoals
@@ -242,10 +238,9 @@ def test_without_a_pair_there_is_one_clear_error(tracks: LayerTracks) -> None:
 
 def trained(data: Path, dynamics: Path, out: Path, **settings: Any) -> str:
     said = io.StringIO()
-    config = LayersGeneratorTraining(
-        data, dynamics, out, episodes=30, batch_size=16, model=SMALL, loop=SHORT
-    )
-    train_layers_generator(dataclasses.replace(config, **settings), Console(file=said, width=300))
+    small = {"episodes": 30, "batch_size": 16, "model": SMALL, "loop": SHORT, **settings}
+    console = Console(file=said, width=300)
+    train_model("layers-generator", data, dynamics=dynamics, out=out, console=console, **small)
     return said.getvalue()
 
 
@@ -276,9 +271,11 @@ def test_training_that_died_goes_on_to_the_same_result(
 def test_the_model_takes_its_sizes_from_the_dynamics(
     data: Path, dynamics: Path, tmp_path: Path
 ) -> None:
-    config = LayersGeneratorTraining(data, dynamics, tmp_path, episodes=4, loop=SHORT)
     small = dataclasses.replace(SMALL, image_size=64, action_dim=1, sliders=1, roaming=1)
-    model = train_layers_generator(dataclasses.replace(config, model=small), QUIET)
+    model = train_model(
+        "layers-generator", data, dynamics=dynamics, out=tmp_path, episodes=4, model=small,
+        loop=SHORT, console=QUIET,
+    )  # fmt: skip
     assert model.config == SMALL
 
 

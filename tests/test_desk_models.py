@@ -19,7 +19,7 @@ torch = pytest.importorskip("torch")
 from hvf.evaluation.image_quality import perceptual_distance, psnr, ssim  # noqa: E402
 from hvf.models.vae import CVAEConfig  # noqa: E402
 from hvf.training.loop import LoopConfig  # noqa: E402
-from hvf.training.recipes.vae import DeskSubgoalTraining, train_subgoals  # noqa: E402
+from hvf.training.recipe import train  # noqa: E402
 from hvf.worlds.keypoint import ImageSubgoals  # noqa: E402
 from hvf.worlds.layers import LayerWorld  # noqa: E402
 from layered_desk import random_dynamics  # noqa: E402
@@ -46,9 +46,7 @@ def test_the_planner_searches_subgoals_in_learned_models(data: Path, tmp_path: P
         posterior_layers=(8,), scene_layers=(), image_layers=(8,),
     )  # fmt: skip
     quiet = Console(file=io.StringIO())
-    generator = train_subgoals(
-        DeskSubgoalTraining(data, tmp_path, batch_size=4, model=vae, loop=SHORT), quiet
-    )
+    generator = train("vae", data, out=tmp_path, batch_size=4, model=vae, loop=SHORT, console=quiet)
     with EpisodeFile(data) as file:
         images = file.read(0, 1).frames[0, :2]
     mpc = hvf_core.VisualMPC(horizon=3, samples=8, elites=2, iterations=2, action_repeat=3)

@@ -155,6 +155,33 @@ def test_tracks_may_begin_anywhere_in_the_file(
         )
 
 
+def test_tracks_are_perceived_once(
+    tmp_path: Path, perception: LayerPerception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "desk.h5"
+    toy.write(path, 0, 4, 6)
+    own = copy.deepcopy(perception)
+    first = LayerTracks(path, own, 4)
+    looked: list[int] = []
+    look = LayerPerception.look
+
+    def counted(model: LayerPerception, frames: torch.Tensor) -> object:
+        looked.append(len(frames))
+        return look(model, frames)
+
+    monkeypatch.setattr(LayerPerception, "look", counted)
+    again, part = LayerTracks(path, own, 4), LayerTracks(path, own, 3)
+    assert looked == []
+    for name in ("states", "actions", "mass", "truth", "known"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+    for name in ("states", "actions", "mass"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(first, name)[:3])
+    own.sprites.mul_(0.5)
+    LayerTracks(path, own, 4)
+    assert looked == [7] * 4
+    assert len(list((tmp_path / "desk.h5.tracks").iterdir())) == 2
+
+
 def test_contacts_are_the_middles_of_steps_in_which_a_part_moves(tracks: LayerTracks) -> None:
     hands, places = tracks.contacts()
     expected = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,30 +15,27 @@ from rich.console import Console
 
 import hvf_core
 from hvf.data.collect import CollectConfig, collect_maze
+from hvf.data.episodes import Episodes, Metadata
+from hvf.data.formats.hdf5 import write_episodes
 from hvf.worlds import MazeWorldConfig, load_maze
 
 torch = pytest.importorskip("torch")
 
+from hvf.worlds.costs import DistanceWorld, LatentDistance, StepsDistance  # noqa: E402
+
 from hvf.models.frames import to_unit  # noqa: E402
 from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
+from hvf.models.keypoint.perception import KeypointPerception  # noqa: E402
 from hvf.models.keypoint.scene_code import SceneCode  # noqa: E402
 from hvf.models.temporal_distance import TemporalDistance, TemporalDistanceConfig  # noqa: E402
 from hvf.models.vae import CVAE, CVAEConfig  # noqa: E402
 from hvf.training.loop import LoopConfig  # noqa: E402
-from hvf.training.recipes.keypoint import DynamicsTraining, train_dynamics  # noqa: E402
-from hvf.training.recipes.keypoint_generator import (  # noqa: E402
-    GeneratorTraining,
-    train_keypoint_generator,
-)
-from hvf.training.recipes.temporal_distance import (  # noqa: E402
-    PairSampler,
-    TemporalDistanceTraining,
-    train_temporal_distance,
-)
+from hvf.training.recipe import train  # noqa: E402
+from hvf.training.recipes.temporal_distance import KeypointPairs  # noqa: E402
 from hvf.training.tracks.keypoints import Transitions, TransitionSampler  # noqa: E402
-from hvf.worlds.costs import DistanceWorld, LatentDistance, StepsDistance  # noqa: E402
 from hvf.worlds.keypoint import KeypointWorld  # noqa: E402
 
+QUIET = Console(quiet=True)
 SHORT = LoopConfig(
     steps=8, learning_rate=1e-3, validate_every=8, checkpoint_every=4, precision="float32"
 )
@@ -56,14 +54,11 @@ def runs(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     quiet = Console(file=io.StringIO())
     loops = {"perception_loop": SHORT, "loop": SHORT}
-    train_dynamics(DynamicsTraining(data, folder / "dynamics", episodes=30, **loops), quiet)
+    train("keypoint", data, out=folder / "dynamics", episodes=30, console=quiet, **loops)
     dynamics = folder / "dynamics" / "model.safetensors"
-    train_keypoint_generator(
-        GeneratorTraining(data, dynamics, folder / "generator", episodes=30, loop=SHORT), quiet
-    )
-    train_temporal_distance(
-        TemporalDistanceTraining(data, dynamics, folder / "steps", episodes=30, loop=SHORT), quiet
-    )
+    small = {"dynamics": dynamics, "episodes": 30, "loop": SHORT, "console": quiet}
+    train("keypoint-generator", data, out=folder / "generator", **small)
+    train("temporal-distance", data, out=folder / "steps", **small)
     return folder
 
 
@@ -90,10 +85,91 @@ def test_a_finished_training_is_not_done_again(data: Path, runs: Path) -> None:
     before = checkpoint.read_bytes()
     said = io.StringIO()
     loops = {"perception_loop": SHORT, "loop": SHORT}
-    config = DynamicsTraining(data, runs / "dynamics", episodes=30, **loops)
-    train_dynamics(config, Console(file=said, width=300))
+    console = Console(file=said, width=300)
+    train("keypoint", data, out=runs / "dynamics", episodes=30, console=console, **loops)
     assert checkpoint.read_bytes() == before
     assert said.getvalue().count("already trained for 8 steps") == 2
+
+
+def test_a_second_start_perceives_nothing(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch.manual_seed(0)
+    model = KeypointDynamics(DynamicsConfig()).eval()
+    own = shutil.copy(data, tmp_path / "maze.h5")
+    first = Transitions(own, model, episodes=6, first=2)
+    seen = KeypointPerception.keypoints
+    calls: list[int] = []
+
+    def counted(perception: KeypointPerception, images: torch.Tensor) -> torch.Tensor:
+        calls.append(len(images))
+        return seen(perception, images)
+
+    monkeypatch.setattr(KeypointPerception, "keypoints", counted)
+    again = Transitions(own, model, episodes=6, first=2)
+    whole_groups = Transitions(own, model, episodes=4, first=2)
+    assert not calls
+    for name in ("keypoints", "actions", "backgrounds"):
+        assert (getattr(again, name) == getattr(first, name)).all()
+        assert (getattr(whole_groups, name) == getattr(first, name)[:4]).all()
+    # Fewer than were looked at together might differ in the last bit.
+    Transitions(own, model, episodes=3, first=2)
+    assert calls == [33]
+    assert len(list((tmp_path / "maze.h5.tracks").glob("*.h5"))) == 2
+
+
+def test_another_perception_or_other_data_is_looked_at_again(data: Path, tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    model = KeypointDynamics(DynamicsConfig()).eval()
+    own = Path(shutil.copy(data, tmp_path / "maze.h5"))
+    folder = tmp_path / "maze.h5.tracks"
+    before = Transitions(own, model, episodes=2).keypoints
+    with torch.no_grad():
+        model.perception.mask[0].weight.mul_(1.01)
+    assert not (Transitions(own, model, episodes=2).keypoints == before).all()
+    assert len(list(folder.iterdir())) == 2
+    collect_maze(CollectConfig(own, episodes=60, steps=10, seed=1, overwrite=True), QUIET)
+    Transitions(own, model, episodes=2)
+    assert len(list(folder.iterdir())) == 3
+
+
+def test_damaged_tracks_are_made_again_and_a_place_that_refuses_them_is_no_error(
+    data: Path, tmp_path: Path
+) -> None:
+    torch.manual_seed(0)
+    model = KeypointDynamics(DynamicsConfig()).eval()
+    own = Path(shutil.copy(data, tmp_path / "maze.h5"))
+    expected = Transitions(own, model, episodes=2).keypoints
+    (kept,) = (tmp_path / "maze.h5.tracks").iterdir()
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[: len(whole) // 2])
+    np.testing.assert_array_equal(Transitions(own, model, episodes=2).keypoints, expected)
+    assert kept.stat().st_size == len(whole)
+    shutil.rmtree(kept.parent)
+    kept.parent.write_text("in the way")
+    said = io.StringIO()
+    console = Console(file=said, width=300)
+    found = Transitions(own, model, episodes=2, console=console).keypoints
+    np.testing.assert_array_equal(found, expected)
+    assert "not kept" in said.getvalue()
+
+
+def test_the_keypoint_model_takes_its_sizes_from_the_data(tmp_path: Path) -> None:
+    data = collect_maze(CollectConfig(tmp_path / "small.h5", 20, 10, image_size=32), QUIET)
+    loops = {"perception_loop": SHORT, "loop": SHORT}
+    model = train("keypoint", data, out=tmp_path / "run", console=QUIET, **loops)
+    assert model.config.perception.image_size == 32
+    assert model.config.action_dim == 2
+
+
+def test_images_that_the_keypoint_model_cannot_take_are_one_clear_error(tmp_path: Path) -> None:
+    for size, message in (((16, 24), "square"), ((20, 20), "multiple of 8")):
+        path = tmp_path / f"{size[1]}.h5"
+        frames = np.zeros((4, 13, *size, 3), np.uint8)
+        moves, states = np.zeros((4, 12, 2), np.float32), np.zeros((4, 13, 1))
+        write_episodes(path, Metadata("other", {}, 0, 12, 4, {}), Episodes(frames, moves, states))
+        with pytest.raises(ValueError, match=rf"{size[1]}\.h5: .*{message}"):
+            train("keypoint", path, out=tmp_path / "run", console=QUIET)
 
 
 def test_transitions_are_what_the_file_holds(data: Path) -> None:
@@ -149,7 +225,7 @@ def test_classes_of_steps_double_in_width(steps: list[int], classes: int) -> Non
 def test_pairs_are_as_many_steps_apart_as_they_say() -> None:
     clock = np.arange(20.0, dtype=np.float32)
     keypoints = np.stack([np.stack([clock, clock], axis=1)] * 3)
-    batch = PairSampler(keypoints, np.zeros((3, 4), np.float32), 500, seed=0).batch(2)
+    batch = KeypointPairs(keypoints, np.zeros((3, 4), np.float32), 500, seed=0).batch(2)
     apart = (batch["after"] - batch["before"])[:, 0]
     np.testing.assert_array_equal(apart.abs(), batch["steps"].float())
     assert set(batch["steps"].tolist()) >= {0, 1, 2, 19} - {19}

@@ -20,18 +20,26 @@ from PIL import Image
 from rich.console import Console
 from safetensors.torch import save_file
 
+import hvf
 from hvf.files import replacing, write_bytes
+from hvf.images import frame_grid
 from hvf.models.checkpoint import (
     config_from_json,
+    export_half,
+    load_any,
     load_model,
     read_header,
     read_tensors,
     save_model,
 )
+from hvf.models.entry import ModelEntry
+from hvf.registry import MODELS
+from hvf.training import loop as loop_module
 from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
+from hvf.training.state import fitted, save_state
 
 QUIET = Console(quiet=True)
+WEIGHTS = Path(hvf.__file__).parent / "weights"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,6 +159,60 @@ def test_a_run_that_died_and_was_resumed_equals_one_that_did_not(tmp_path: Path)
     for name, value in whole.state_dict().items():
         assert resumed.state_dict()[name].equal(value)
     assert int(resumed.calls) == 12
+
+
+@pytest.mark.parametrize("done", [4, 8, 12])
+def test_killed_between_weights_and_state_ends_with_the_same_of_both(
+    done: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(path: Path, state: object, identity: object, step: int) -> None:
+        if step == done:
+            raise MemoryError("killed")
+        save_state(path, state, identity, step)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop_module, "save_state", killed)
+        with pytest.raises(MemoryError):
+            run(tmp_path / "died")
+    # Weights come first: a state is never without the weights that belong to it.
+    assert read_header(tmp_path / "died/model.safetensors").training["step"] == done
+    run(tmp_path / "died")
+    run(tmp_path / "whole")
+    assert same(tmp_path / "died", tmp_path / "whole")
+    a, b = (load_model(tmp_path / n / "model.safetensors", Line) for n in ("died", "whole"))
+    assert all(a.state_dict()[name].equal(value) for name, value in b.state_dict().items())
+
+
+@pytest.mark.parametrize("left", ["nothing", "older", "damaged"])
+def test_a_finished_run_gets_its_weights_back(left: str, tmp_path: Path) -> None:
+    def measure(model: Line, generator: torch.Generator) -> Validation:
+        return Validation({"bias": float(model.out.bias)})
+
+    run(tmp_path, validate=measure)
+    path = tmp_path / "model.safetensors"
+    expected, whole = read_header(path), path.read_bytes()
+    path.unlink()
+    if left == "older":
+        save_model(path, Line(LineConfig()), environment="maze", training={"step": 8})
+    elif left == "damaged":
+        path.write_bytes(whole[:100])
+    drawn: list[int] = []
+    model = run(tmp_path, Lines(drawn.append), validate=measure)
+    assert drawn == []
+    assert read_header(path) == expected
+    assert load_model(path, Line).out.weight.equal(model.out.weight)
+
+
+def test_a_metric_that_is_no_number_is_left_out_of_the_header(tmp_path: Path) -> None:
+    def measure(model: Line, generator: torch.Generator) -> Validation:
+        return Validation({"mean": math.nan, "best": math.inf, "error": 0.25})
+
+    run(tmp_path, validate=measure)
+    header = read_header(tmp_path / "model.safetensors")
+    assert header.training["validation"] == {"error": 0.25}
+    with pytest.raises(ValueError, match="JSON"):
+        save_model(tmp_path / "x", Line(LineConfig()), environment="maze", training={"x": math.nan})
+    assert not (tmp_path / "x").exists()
 
 
 def test_ctrl_c_saves_the_step_it_finished(tmp_path: Path) -> None:
@@ -286,6 +348,39 @@ def test_the_same_code_trains_on_cuda_in_bfloat16(tmp_path: Path) -> None:
     assert next(model.parameters()).is_cuda
 
 
+# ---- what is fitted without gradient ----------------------------------------------------------
+
+
+def test_what_is_fitted_is_fitted_once(tmp_path: Path) -> None:
+    calls: list[int] = []
+
+    def fit(model: Line) -> None:
+        calls.append(1)
+        model.calls.fill_(7)
+
+    path, identity = tmp_path / "fitted.safetensors", {"seed": 1, "sizes": (2, 3)}
+    for _ in range(2):
+        model = fitted(path, seeded(0, lambda: Line(LineConfig())), identity, fit)
+        assert int(model.calls) == 7
+    assert calls == [1]
+    with pytest.raises(
+        ValueError, match=r"fitted\.safetensors: belongs to another run .*seed is 1"
+    ):
+        fitted(path, Line(LineConfig()), {**identity, "seed": 2}, fit)
+    path.write_bytes(path.read_bytes()[:50])
+    with pytest.raises(ValueError, match=r"fitted\.safetensors"):
+        fitted(path, Line(LineConfig()), identity, fit)
+
+
+def test_a_fit_that_fails_keeps_nothing(tmp_path: Path) -> None:
+    def fit(model: Line) -> None:
+        raise ValueError("frames: none")
+
+    with pytest.raises(ValueError, match="frames: none"):
+        fitted(tmp_path / "fitted.safetensors", Line(LineConfig()), {}, fit)
+    assert not list(tmp_path.iterdir())
+
+
 # ---- checkpoints -------------------------------------------------------------------------------
 
 
@@ -398,12 +493,124 @@ def test_configs_survive_json(
     )
 
 
-def test_unknown_and_missing_fields_of_a_config_are_named() -> None:
-    good = dataclasses.asdict(LineConfig())
+def test_unknown_fields_of_a_config_and_missing_ones_without_default_are_named() -> None:
+    @dataclasses.dataclass(frozen=True)
+    class Needs:
+        width: int
+        depth: int = 3
+
     with pytest.raises(ValueError, match="no field 'height'"):
-        config_from_json(LineConfig, {**good, "height": 1})
-    with pytest.raises(ValueError, match="'scale' of LineConfig is missing"):
-        config_from_json(LineConfig, {"width": 1, "inner": good["inner"]})
+        config_from_json(LineConfig, {**dataclasses.asdict(LineConfig()), "height": 1})
+    with pytest.raises(ValueError, match="'width' of Needs is missing"):
+        config_from_json(Needs, {"depth": 1})
+    assert config_from_json(Needs, {"width": 2}) == Needs(2, 3)
+
+
+def test_a_checkpoint_older_than_a_field_of_its_config_loads_with_the_default(
+    saved: Path, tmp_path: Path
+) -> None:
+    tensors, metadata = read_tensors(saved)
+    config = json.loads(metadata["config"])
+    del config["scale"], config["inner"]["name"]
+    old = tmp_path / "old.safetensors"
+    save_file(tensors, old, {**metadata, "config": json.dumps(config)})
+    assert load_model(old, Line).config == LineConfig(3, Inner((7, 8, 9), None), 0.5)
+    save_file(tensors, old, {**metadata, "config": json.dumps({**config, "height": 1})})
+    with pytest.raises(ValueError, match=r"old\.safetensors: config of Line .* no field 'height'"):
+        load_model(old, Line)
+
+
+# ---- models by their checkpoints ---------------------------------------------------------------
+
+
+@pytest.fixture
+def registered(monkeypatch: pytest.MonkeyPatch) -> ModelEntry:
+    """``Line`` as a model of another package, which was once called otherwise."""
+    entry = ModelEntry("a line", "video", "dynamics", Line, None, formerly=("Stroke", "Rule"))
+    monkeypatch.setattr(MODELS, "_targets", dict(MODELS._targets))
+    MODELS.register("line", entry)
+    return entry
+
+
+def test_a_checkpoint_leads_to_its_model(saved: Path, registered: ModelEntry) -> None:
+    found = load_any(saved, environment="maze")
+    assert (found.name, found.entry, found.header.model) == ("line", registered, "Line")
+    assert isinstance(found.module, Line)
+    assert not found.module.training
+    expected = load_model(saved, Line).state_dict()
+    assert all(found.module.state_dict()[name].equal(value) for name, value in expected.items())
+    with pytest.raises(ValueError, match="for environment 'maze', expected 'desk'"):
+        load_any(saved, environment="desk")
+
+
+@pytest.mark.parametrize("name", ["Stroke", "Rule"])
+def test_a_class_is_found_by_the_names_that_it_had(
+    name: str, saved: Path, registered: ModelEntry, tmp_path: Path
+) -> None:
+    tensors, metadata = read_tensors(saved)
+    old = tmp_path / "old.safetensors"
+    save_file(tensors, old, {**metadata, "model": name})
+    assert load_any(old).name == "line"
+    assert load_model(old, Line).config == load_model(saved, Line).config
+
+
+def test_a_checkpoint_of_no_known_model_lists_those_that_there_are(saved: Path) -> None:
+    with pytest.raises(ValueError, match=r"line\.safetensors: no model has the class 'Line'") as e:
+        load_any(saved)
+    assert all(f"{name} (" in str(e.value) for name in MODELS)
+
+
+def test_a_package_that_cannot_be_imported_does_not_hide_the_others(
+    saved: Path, registered: ModelEntry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    targets = {"broken": "no_such_package:MODEL", **MODELS._targets}
+    monkeypatch.setattr(MODELS, "_targets", targets)
+    assert load_any(saved).name == "line"
+    targets.pop("line")
+    with pytest.raises(ValueError, match="not to be imported: broken"):
+        load_any(saved)
+
+
+@pytest.mark.parametrize("path", sorted(WEIGHTS.glob("*.safetensors")), ids=lambda path: path.stem)
+def test_shipped_weights_load_as_they_are_stored(path: Path) -> None:
+    found = load_any(path)
+    tensors, metadata = read_tensors(path)
+    assert metadata["model"] in (found.entry.class_name, *found.entry.formerly)
+    own = found.module.state_dict()
+    assert own.keys() == tensors.keys()
+    assert all(own[name].equal(value.to(own[name].dtype)) for name, value in tensors.items())
+    assert type(load_model(path, type(found.module))) is found.entry.resolved("module")
+
+
+def test_half_precision_is_for_what_can_bear_it(
+    saved: Path, registered: ModelEntry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Line, "keep_float32", ("out.weight",), raising=False)
+    size = export_half(saved, tmp_path / "half.safetensors")
+    assert size == (tmp_path / "half.safetensors").stat().st_size < saved.stat().st_size
+    before, after = load_model(saved, Line), load_model(tmp_path / "half.safetensors", Line)
+    assert after.out.weight.equal(before.out.weight)
+    assert not after.conv.weight.equal(before.conv.weight)
+    torch.testing.assert_close(after.conv.weight, before.conv.weight, rtol=1e-3, atol=1e-7)
+    assert read_header(tmp_path / "half.safetensors") == read_header(saved)
+
+
+def test_weights_beyond_half_precision_are_named(registered: ModelEntry, tmp_path: Path) -> None:
+    model = Line(LineConfig())
+    with torch.no_grad():
+        model.out.weight.fill_(1e6)
+    save_model(tmp_path / "x.safetensors", model, environment="maze")
+    with pytest.raises(ValueError, match=r"out\.weight does not fit into half precision"):
+        export_half(tmp_path / "x.safetensors", tmp_path / "half.safetensors")
+    assert not (tmp_path / "half.safetensors").exists()
+
+
+def test_layers_keep_the_axes_that_coordinates_are_read_off_by() -> None:
+    from hvf.models.layers.dynamics import LayerDynamics
+    from layered_desk import random_dynamics
+
+    tensors = random_dynamics().state_dict()
+    assert set(LayerDynamics.keep_float32) <= tensors.keys()
 
 
 def test_a_model_without_config_cannot_be_saved(tmp_path: Path) -> None:

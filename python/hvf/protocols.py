@@ -1,4 +1,6 @@
-"""What the planners ask of a model: any object with these attributes and methods will do.
+"""What the planners ask of a model, and acting of episodes and agents: any object will do.
+
+What must be there are a few attributes and methods; the protocols below name them.
 
 Letters in shapes: ``B`` problems, ``M`` subgoal samples, ``K`` subgoals, ``L`` latent dimensions,
 ``D`` candidates per problem, ``H`` time steps, ``A`` action dimensions.
@@ -10,12 +12,37 @@ hands them back to the model.
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Frames", "Observer", "RolloutSharer", "SubgoalModel", "WorldModel"]
+__all__ = [
+    "Agent",
+    "Decision",
+    "Drawable",
+    "Frames",
+    "Images",
+    "Indices",
+    "Locating",
+    "Measuring",
+    "Observer",
+    "Privileged",
+    "Remembering",
+    "RolloutSharer",
+    "SubgoalModel",
+    "SubgoalSource",
+    "Trials",
+    "TrueSubgoals",
+    "WorldModel",
+]
+
+Images: TypeAlias = NDArray[np.uint8]
+"""Images, uint8 ``[N, H, W, 3]``."""
+Indices: TypeAlias = NDArray[np.int64]
+"""Numbers of trials, int64 ``[N]``."""
 
 
 @runtime_checkable
@@ -131,4 +158,170 @@ class SubgoalModel(Protocol[F_contra]):
             frames of the world model, or uint8 images ``[M * K, height, width, 3]``, or the
             frames of another world that have ``images``; the world model observes the latter two.
         """
+        ...
+
+
+@runtime_checkable
+class Drawable(Protocol[F_contra]):
+    """A world model whose frames are no images, but can be drawn for people."""
+
+    def images(self, frames: F_contra) -> Images:
+        """Return images of ``frames[N]``, uint8 ``[N, H, W, 3]``. Used in pictures only."""
+        ...
+
+
+@runtime_checkable
+class Measuring(Protocol[F_contra]):
+    """A world model with a distance of its own, which says when a subgoal is reached."""
+
+    def distances(self, frames: F_contra, goals: F_contra) -> ArrayLike:
+        """Return how far ``frames[N]`` are from ``goals[N]``, ``[N]``: 0 for the same.
+
+        What acting compares with its threshold; without it, mean squared differences of images.
+        """
+        ...
+
+
+@runtime_checkable
+class Remembering(Protocol[F_co]):
+    """A world model with context: it starts from several frames and the actions between them."""
+
+    @property
+    def context(self) -> int:
+        """Frames that it wants, ``C``."""
+        ...
+
+    def observe_history(self, images: NDArray[np.uint8], actions: NDArray[np.float32]) -> F_co:
+        """Return frames to start from, ``[N]``.
+
+        Args:
+            images: uint8 ``[N, C, H, W, 3]``, the last one being now. Where a trial has not been
+                that long, its first image is repeated.
+            actions: float32 ``[N, C - 1, A]``, what was done in between; zeros before the start.
+        """
+        ...
+
+
+class Trials(Protocol):
+    """``B`` episodes of a domain, side by side."""
+
+    @property
+    def goals(self) -> Images:
+        """Goal images, uint8 ``[B, H, W, 3]``."""
+        ...
+
+    def __len__(self) -> int:
+        """Return ``B``."""
+        ...
+
+    def observe(self, which: Indices) -> Images:
+        """Return the images that the trials ``which`` see now, uint8 ``[N, H, W, 3]``."""
+        ...
+
+    def step(self, which: Indices, actions: NDArray[np.float32]) -> Mapping[int, str]:
+        """Apply ``actions[N, A]`` to the trials ``which``.
+
+        Returns:
+            Those of them that cannot go on, with the reason: number of the trial to words.
+        """
+        ...
+
+    def success(self, which: Indices) -> NDArray[np.bool_]:
+        """Return whether the trials ``which`` are where they should be, ``[N]``."""
+        ...
+
+
+@runtime_checkable
+class TrueSubgoals(Protocol):
+    """Trials of a domain that knows what good subgoals are: an upper bound to compare with."""
+
+    def true_subgoals(self, count: int) -> Images:
+        """Return ground-truth subgoals, uint8 ``[B, count, H, W, 3]``."""
+        ...
+
+
+@runtime_checkable
+class Privileged(Protocol):
+    """Trials that can say more than what is seen; asked by simulators only."""
+
+    def frames(self, which: Indices) -> Frames:
+        """Return frames of the true simulator where the trials ``which`` are, ``[N]``."""
+        ...
+
+
+@runtime_checkable
+class Locating(Protocol):
+    """Trials that know where what acts is in the images: for pictures."""
+
+    def positions(self, which: Indices) -> NDArray[np.float64]:
+        """Return where it is now in the images of ``which``, pixels, float64 ``[N, 2]``.
+
+        Column and row; the middle of the upper left pixel is (0, 0).
+        """
+        ...
+
+    def target(self, trial: int) -> tuple[float, float, float] | None:
+        """Return column, row and radius of where a trial should end; None if that is no place."""
+        ...
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What an agent does.
+
+    Attributes:
+        actions: float32 ``[N, A]``.
+        costs: predicted cost of the plans that they begin, float32 ``[N]``; None without plans.
+    """
+
+    actions: NDArray[np.float32]
+    costs: NDArray[np.float32] | None = None
+
+
+class SubgoalSource(Protocol):
+    """Where an agent gets its subgoals from."""
+
+    def __call__(self, trials: Trials, trial: int, seed: int) -> Frames:
+        """Return the subgoals of one trial, in order: ``K`` images or frames of the world.
+
+        Args:
+            trials: all of them, not yet stepped.
+            trial: number of the one.
+            seed: of all randomness in the choice.
+        """
+        ...
+
+
+class Agent(Protocol):
+    """Chooses subgoals once per trial, and an action at every step.
+
+    What a trial aims at is numbered: its subgoals from 0, and the goal last.
+    """
+
+    def begin(self, trials: Trials) -> None:
+        """Forget what was; ``trials`` are fresh."""
+        ...
+
+    def choose(self, trial: int, seed: int) -> Frames:
+        """Choose the subgoals of a trial, in order; return them."""
+        ...
+
+    def act(
+        self, which: Indices, observations: Images, aims: Indices, seeds: Sequence[int]
+    ) -> Decision:
+        """Decide for the trials ``which``: from ``observations[N]`` towards ``aims[N]``."""
+        ...
+
+    def acted(self, which: Indices, actions: NDArray[np.float32]) -> None:
+        """Be told of the actions ``[N, A]`` that were taken."""
+        ...
+
+    def distances(
+        self, which: Indices, observations: Images, aims: Indices, blur: float
+    ) -> NDArray[np.floating]:
+        """Return how far ``observations[N]`` are from ``aims[N]``, ``[N]``."""
+        ...
+
+    def images(self, frames: Frames) -> Images:
+        """Return images of subgoals, for pictures."""
         ...

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hvf.agents.method import Method
     from hvf.domains.domain import Domain
     from hvf.models.entry import ModelEntry
-    from hvf.worlds.costs import Cost
+    from hvf.worlds.cost import Cost
 
 T = TypeVar("T")
 
@@ -109,13 +109,13 @@ MODELS: Registry[ModelEntry] = Registry(
     "model",
     "hvf.models",
     {
-        "keypoint": "hvf.models.keypoint:KEYPOINT",
-        "keypoint-generator": "hvf.models.keypoint:KEYPOINT_GENERATOR",
-        "temporal-distance": "hvf.models.temporal_distance:TEMPORAL_DISTANCE",
-        "layers": "hvf.models.layers:LAYERS",
-        "layers-generator": "hvf.models.layers:LAYERS_GENERATOR",
-        "cvae": "hvf.models.entry:CVAE",
-        "vae": "hvf.models.entry:VAE",
+        "keypoint": "hvf.models.catalogue:KEYPOINT",
+        "keypoint-generator": "hvf.models.catalogue:KEYPOINT_GENERATOR",
+        "temporal-distance": "hvf.models.catalogue:TEMPORAL_DISTANCE",
+        "layers": "hvf.models.catalogue:LAYERS",
+        "layers-generator": "hvf.models.catalogue:LAYERS_GENERATOR",
+        "cvae": "hvf.models.catalogue:CVAE",
+        "vae": "hvf.models.catalogue:VAE",
     },
 )
 """Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""
@@ -136,9 +136,9 @@ COSTS: Registry[Cost] = Registry(
     "cost",
     "hvf.costs",
     {
-        "pixel": "hvf.worlds.costs:PIXEL",
-        "latent": "hvf.worlds.costs:LATENT",
-        "temporal": "hvf.worlds.costs:TEMPORAL",
+        "pixel": "hvf.worlds.cost:PIXEL",
+        "latent": "hvf.worlds.cost:LATENT",
+        "temporal": "hvf.worlds.cost:TEMPORAL",
     },
 )
 """What a predicted frame costs."""

@@ -1,8 +1,13 @@
-"""How agents plan and act, in any environment: settings of the planners and of the rule."""
+"""How agents plan and act, in any domain: settings of the planners, of the world, and of the rule.
+
+One dataclass each, checked when it is made; the command line is generated from them, and a preset
+is a value of them. The paper's names are in brackets.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -10,6 +15,7 @@ import numpy as np
 import hvf_core
 
 OverHorizon: TypeAlias = Literal["last", "sum", "min"]
+"""Which predicted frames of a rollout count: the last, the sum over all, or the nearest."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,8 +26,9 @@ class Acting:
         steps: steps of a trial, ``T``.
         steps_per_subgoal: most steps towards one subgoal, ``T*``.
         threshold: cost below which a subgoal counts as reached; 0 never.
-        reached: which cost that is: ``"observed"``, the pixel cost of the observation to the
-            subgoal; or ``"planned"``, the predicted cost of the plan to it.
+        reached: which cost that is: ``"observed"``, that of the observation to the subgoal (the
+            world's own where it has one, else squared pixels); or ``"planned"``, the predicted
+            cost of the plan to it.
         reached_blur: standard deviation, pixels, of a Gaussian blur through which observation
             and subgoal are compared; 0 for none.
     """
@@ -38,12 +45,8 @@ class Acting:
                 raise ValueError(f"{name}: must be at least 1, got {getattr(self, name)}")
         if not self.threshold >= 0:
             raise ValueError(f"threshold: must not be negative, got {self.threshold}")
-        if not 0 <= self.reached_blur < np.inf:
-            raise ValueError(
-                f"reached_blur: must be finite and not negative, got {self.reached_blur}"
-            )
-        if self.reached not in ("observed", "planned"):
-            raise ValueError(f"reached: must be 'observed' or 'planned', got {self.reached!r}")
+        check_blur("reached_blur", self.reached_blur)
+        check_word("reached", self.reached, ("observed", "planned"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,22 +78,34 @@ class Replanning:
 
 @dataclasses.dataclass(frozen=True)
 class Planning:
-    """How agents plan and act. The paper's names are in brackets.
+    """How agents plan and act.
 
     Attributes:
         samples: candidate action sequences per iteration (D).
         elites: of which the best are kept (D*).
         iterations: iterations of the search for actions.
         horizon: model steps that a plan looks ahead (H).
+        action_repeat: steps that one planned action is held for; divides the horizon.
         initial: first distribution of actions: uniform over the box, or normal (the paper's).
+        initial_std: standard deviation of a normal one, in units of the action (the paper's is 1).
+        initial_low: lowest actions of a uniform one, one number a dimension; none for the box's.
+        initial_high: highest actions of a uniform one.
+        clip: whether actions drawn from a Gaussian are clipped to the box; the authors' code does
+            not.
+        best: whether the best candidate of all iterations is acted, or of the last (the authors'
+            code); the same for subgoals.
         keep_elites: best candidates that compete again in the next iteration.
         warm_start: begin each search around the rest of the last plan.
+        replan_every: steps of a plan that are acted before the next one is made.
+        keep_better: go on with the rest of a plan as long as no new one has a lower predicted
+            cost: for budgets so small that a good plan may not be found again.
         blur: standard deviation of a Gaussian blur of frames before they are compared, pixels.
         over_horizon: predicted frames that count: the last (the paper's), their sum or minimum.
         subgoal_samples: subgoal samples per iteration (M).
         subgoal_elites: of which the best are kept (M*).
         subgoal_iterations: iterations of the search for subgoals.
         reduction: cost of a sample over its segments: the maximum (the paper's) or the mean.
+        steps: steps of a trial (T); none for the task's own limit.
         steps_per_subgoal: most steps towards one subgoal (T*).
         threshold: cost below which a subgoal counts as reached.
         reached: which cost that is: of the observed frame, or planned.
@@ -101,15 +116,24 @@ class Planning:
     elites: int = 40
     iterations: int = 5
     horizon: int = 5
-    initial: str = "uniform"
+    action_repeat: int = 1
+    initial: Literal["uniform", "normal"] = "uniform"
+    initial_std: float = 1.0
+    initial_low: tuple[float, ...] | None = None
+    initial_high: tuple[float, ...] | None = None
+    clip: bool = True
+    best: Literal["all", "last"] = "all"
     keep_elites: int = 0
     warm_start: bool = False
+    replan_every: int = 1
+    keep_better: bool = False
     blur: float = 0.0
     over_horizon: OverHorizon = "last"
     subgoal_samples: int = 200
     subgoal_elites: int = 40
     subgoal_iterations: int = 5
     reduction: Literal["max", "mean"] = "max"
+    steps: int | None = None
     steps_per_subgoal: int = 10
     threshold: float = 1e-3
     reached: Literal["observed", "planned"] = "observed"
@@ -117,26 +141,41 @@ class Planning:
 
     def __post_init__(self) -> None:
         # The planners check what is theirs.
-        self.rule(1)
+        self.rule(self.steps or 1)
         self.search(1)
         self.replanning.check(self.horizon)
+        check_blur("blur", self.blur)
+        check_word("over_horizon", self.over_horizon, ("last", "sum", "min"))
+        if self.steps is not None and self.steps < 1:
+            raise ValueError(f"steps: must be at least 1, got {self.steps}")
 
     def rule(self, steps: int) -> Acting:
-        """The rule of acting, for trials of ``steps`` steps (T)."""
+        """The rule of acting, for tasks of ``steps`` steps (T) unless the plan has its own."""
         return Acting(
-            steps, self.steps_per_subgoal, self.threshold, self.reached, self.reached_blur
+            self.steps or steps,
+            self.steps_per_subgoal,
+            self.threshold,
+            self.reached,
+            self.reached_blur,
         )
 
     @property
     def mpc(self) -> hvf_core.VisualMPC:
         """Search for actions."""
+        first: dict[str, Any] = {"initial_low": self.initial_low, "initial_high": self.initial_high}
+        if self.initial == "normal":
+            first["initial_std"] = self.initial_std
         return hvf_core.VisualMPC(
             horizon=self.horizon,
             samples=self.samples,
             elites=self.elites,
             iterations=self.iterations,
             keep_elites=self.keep_elites,
-            **self._actions(),
+            action_repeat=self.action_repeat,
+            initial=self.initial,
+            **first,
+            **({} if self.clip else {"clip": False}),
+            **({} if self.best == "all" else {"best": self.best}),
         )
 
     def search(self, subgoals: int) -> hvf_core.HVF:
@@ -148,13 +187,76 @@ class Planning:
             elites=self.subgoal_elites,
             iterations=self.subgoal_iterations,
             reduction=self.reduction,
+            **({} if self.best == "all" else {"best": self.best}),
         )
 
     @property
     def replanning(self) -> Replanning:
         """When to make a new plan."""
-        return Replanning(warm_start=self.warm_start)
+        return Replanning(self.replan_every, self.keep_better, self.warm_start)
 
-    def _actions(self) -> dict[str, Any]:
-        """What the search for actions is told of an environment's actions."""
-        return {"initial": self.initial}
+
+@dataclasses.dataclass(frozen=True)
+class World:
+    """What is planned with: names of the domain's models, or files of checkpoints.
+
+    Attributes:
+        dynamics: predicts what actions lead to: a name such as "keypoint", a checkpoint, or
+            "simulator" for true dynamics; "default" for the domain's own choice.
+        generator: draws the images that subgoals are searched among: a name such as "cvae", a
+            checkpoint, or "oracle" for true states; "default" goes with the dynamics.
+        cost: what a predicted frame costs: "pixel", the distance to the goal image (the paper's),
+            or another cost by name.
+        cost_model: checkpoint of the model that the cost asks; none for the domain's own.
+    """
+
+    dynamics: str = "default"
+    generator: str = "default"
+    cost: str = "pixel"
+    cost_model: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Preset:
+    """Settings that belong together.
+
+    Attributes:
+        planning: how agents plan and act.
+        world: what they plan with.
+        about: whose settings they are, in a line.
+        method: what acts, where the preset is for one method only.
+    """
+
+    planning: Planning
+    world: World = World()
+    about: str = ""
+    method: str | None = None
+
+
+def changed(planning: Planning, settings: Mapping[str, Any]) -> Planning:
+    """``planning`` with some settings changed.
+
+    Raises:
+        TypeError: a setting that there is not.
+    """
+    return dataclasses.replace(planning, **settings)
+
+
+def check_blur(name: str, blur: float) -> None:
+    """Refuse a blur that is not finite and at least 0.
+
+    Raises:
+        ValueError: it is not.
+    """
+    if not 0 <= blur < np.inf:
+        raise ValueError(f"{name}: must be finite and not negative, got {blur}")
+
+
+def check_word(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    """Refuse a ``value`` of ``name`` that is not one of the words ``allowed``.
+
+    Raises:
+        ValueError: it is not.
+    """
+    if value not in allowed:
+        raise ValueError(f"{name}: must be one of {', '.join(allowed)}; got {value!r}")

@@ -1,1 +1,16 @@
 """What acts: plans with and without subgoals, and the random floor."""
+
+from hvf.agents.method import Means, Method
+from hvf.agents.planning import PlanningAgent
+from hvf.agents.random import RandomAgent
+from hvf.agents.subgoals import ground_truth, no_subgoals, searched
+
+__all__ = [
+    "Means",
+    "Method",
+    "PlanningAgent",
+    "RandomAgent",
+    "ground_truth",
+    "no_subgoals",
+    "searched",
+]

@@ -1,84 +1,30 @@
-"""Agents: visual foresight with and without subgoals, and the random floor.
-
-All but the random one plan with the same visual MPC; they differ in where subgoals come from.
-"""
+"""Agents that plan with visual MPC; they differ in where their subgoals come from."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Protocol, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hvf.evaluation.acting import Decision, Images, Indices, Trials, derived_seed
-from hvf.protocols import Frames, SubgoalModel, WorldModel
+import hvf_core
+from hvf.agents.frames import has_images, images_of, joined, observed
+from hvf.protocols import (
+    Decision,
+    Frames,
+    Images,
+    Indices,
+    Measuring,
+    Privileged,
+    Remembering,
+    SubgoalSource,
+    Trials,
+    WorldModel,
+)
 from hvf.settings import Replanning
-from hvf_core import HVF, VisualMPC
-
-
-class SubgoalSource(Protocol):
-    """Where an agent gets its subgoals from."""
-
-    def __call__(self, trials: Trials, seeds: Sequence[int]) -> list[Images]:
-        """Return the subgoals of every trial: ``B`` arrays uint8 ``[K, H, W, 3]``."""
-        ...
-
-
-class NoSubgoals:
-    """Visual foresight: straight to the goal image (Finn & Levine, 2017)."""
-
-    def __call__(self, trials: Trials, seeds: Sequence[int]) -> list[Images]:
-        """Return no subgoals."""
-        return [goal[None][:0] for goal in trials.goals]
-
-
-class SearchedSubgoals:
-    """HVF: subgoal images found by search (paper, algorithm 2), once, at the start."""
-
-    def __init__(
-        self, search: HVF, world: WorldModel[Any], generator: SubgoalModel[Any] | None
-    ) -> None:
-        self.search = search
-        self.world = world
-        self.generator = generator
-
-    def __call__(self, trials: Trials, seeds: Sequence[int]) -> list[Images]:
-        """Return the subgoals that the search finds, as images."""
-        starts = trials.observe(np.arange(len(trials)))
-        search_seeds = [derived_seed(seed, 0) for seed in seeds]
-        found = self.search.search_batch(
-            self.world, self.generator, starts, trials.goals, search_seeds
-        )
-        return [images_of(result.subgoals) for result in found]
-
-
-class TrialsWithTruth(Trials, Protocol):
-    """Trials of an environment that knows what good subgoals are."""
-
-    def true_subgoals(self, count: int) -> Images:
-        """Return ground-truth subgoals, uint8 ``[B, count, H, W, 3]``."""
-        ...
-
-
-class TrueSubgoals:
-    """Ground-truth subgoals: the upper bound that the paper compares with."""
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-
-    def __call__(self, trials: Trials, seeds: Sequence[int]) -> list[Images]:
-        """Return the environment's own subgoals."""
-        return list(cast(TrialsWithTruth, trials).true_subgoals(self.count))
-
-
-class TrialsWithFrames(Trials, Protocol):
-    """Trials that can say more than what is seen."""
-
-    def frames(self, which: Indices) -> Frames:
-        """Return frames of the true simulator where the trials ``which`` are, ``[N]``."""
-        ...
+from hvf_core import VisualMPC
 
 
 class PlanningAgent:
@@ -89,8 +35,8 @@ class PlanningAgent:
         mpc: how it plans.
         source: where its subgoals come from.
         replanning: when it plans anew; at every step, if nothing else is said.
-        told: plans start from frames of the trials (:class:`TrialsWithFrames`) and not from what
-            is observed: for a simulator whose state cannot be read off an image.
+        privileged: plans start from frames of the trials (:class:`~hvf.protocols.Privileged`) and
+            not from what is observed: for a simulator whose state cannot be read off an image.
     """
 
     def __init__(
@@ -99,53 +45,114 @@ class PlanningAgent:
         mpc: VisualMPC,
         source: SubgoalSource,
         replanning: Replanning = Replanning(),
-        told: bool = False,
+        privileged: bool = False,
     ) -> None:
         replanning.check(mpc.horizon)
         self.world = world
         self.mpc = mpc
         self.source = source
         self.replanning = replanning
-        self.told = told
-        self._trials: TrialsWithFrames | None = None
+        self.privileged = privileged
+        self._trials: Trials | None = None
+        # What each trial aims at, one after the other: images, or frames of the world.
+        self._targets: dict[int, list[Any]] = {}
         self._plans: dict[int, _Current] = {}
+        self._memory = _Memory(world) if isinstance(world, Remembering) else None
 
-    def subgoals(self, trials: Trials, seeds: Sequence[int]) -> list[Images]:
-        """Return the subgoals of every trial, and forget the last ones' plans."""
+    def begin(self, trials: Trials) -> None:
+        """Forget what was.
+
+        Raises:
+            ValueError: trials that tell no frames, for an agent that plans from them.
+        """
+        if self.privileged and not isinstance(trials, Privileged):
+            kind = type(trials).__name__
+            raise ValueError(f"dynamics: plan from true states, which {kind} does not tell")
+        self._trials = trials
+        self._targets.clear()
         self._plans.clear()
-        self._trials = cast(TrialsWithFrames, trials) if self.told else None
-        return self.source(trials, seeds)
+        if self._memory is not None:
+            self._memory.clear()
+
+    def choose(self, trial: int, seed: int) -> Frames:
+        """Choose the subgoals of a trial."""
+        assert self._trials is not None, "begin comes first"
+        found = self.source(self._trials, trial, seed)
+        goal = self._trials.goals[trial]
+        if has_images(found):
+            self._targets[trial] = [*images_of(found), goal]
+        else:
+            each = [found[np.array([k])] for k in range(len(found))]
+            self._targets[trial] = [*each, observed(self.world, goal[None])]
+        return found
 
     def act(
-        self, which: Indices, observations: Images, targets: Images, seeds: Sequence[int]
+        self, which: Indices, observations: Images, aims: Indices, seeds: Sequence[int]
     ) -> Decision:
         """Return the next actions of the best plans."""
+        targets = [self._targets[int(b)][int(aim)] for b, aim in zip(which, aims, strict=True)]
+        if self._memory is not None:
+            self._memory.see(which, observations)
         due = [
             n
             for n, (trial, target) in enumerate(zip(which, targets, strict=True))
             if self._is_due(int(trial), target)
         ]
         if due:
-            self._plan(which[due], observations[due], targets[due], [seeds[n] for n in due])
+            wanted, chosen = [targets[n] for n in due], [seeds[n] for n in due]
+            self._plan(which[due], observations[due], wanted, chosen)
         current = [self._plans[int(trial)] for trial in which]
         actions = np.stack([plan.next_action() for plan in current])
         return Decision(actions, np.array([plan.cost for plan in current], np.float32))
 
-    def _is_due(self, trial: int, target: Images) -> bool:
+    def acted(self, which: Indices, actions: NDArray[np.float32]) -> None:
+        """Remember what was seen and done, for a world with context."""
+        if self._memory is not None:
+            self._memory.keep(which, actions)
+
+    def distances(
+        self, which: Indices, observations: Images, aims: Indices, blur: float
+    ) -> NDArray[np.floating]:
+        """Return how far observations are from what is aimed at.
+
+        The world's own distance where it has one, else squared pixels through a blur.
+        """
+        targets = [self._targets[int(b)][int(aim)] for b, aim in zip(which, aims, strict=True)]
+        if isinstance(self.world, Measuring):
+            left = self.world.distances(
+                observed(self.world, observations), observed_all(self.world, targets)
+            )
+            return np.asarray(left)
+        if all(isinstance(target, np.ndarray) and target.ndim == 3 for target in targets):
+            aimed = np.stack(targets)
+        else:
+            aimed = np.concatenate([self.images(frames_of(target)) for target in targets])
+        return hvf_core.image_cost(observations, aimed, blur=blur)
+
+    def images(self, frames: Frames) -> Images:
+        """Return images of frames of the world."""
+        return images_of(frames, self.world)
+
+    def _is_due(self, trial: int, target: Any) -> bool:
         """Whether a trial needs a new plan."""
         plan = self._plans.get(trial)
         if plan is None or plan.since >= self.replanning.every or plan.left == 0:
             return True
-        return not np.array_equal(plan.target, target)
+        return not _same(plan.target, target)
 
     def _plan(
-        self, which: Indices, observations: Images, targets: Images, seeds: Sequence[int]
+        self, which: Indices, observations: Images, targets: list[Any], seeds: Sequence[int]
     ) -> None:
         last = None
         if self.replanning.warm_start and all(int(trial) in self._plans for trial in which):
             last = np.stack([self._plans[int(trial)].before_last_action() for trial in which])
-        starts = observations if self._trials is None else self._trials.frames(which)
-        plans = self.mpc.plan_batch(self.world, starts, targets, seeds=seeds, warm_start=last)
+        plans = self.mpc.plan_batch(
+            self.world,
+            self._starts(which, observations),
+            _batch(self.world, targets),
+            seeds=seeds,
+            warm_start=last,
+        )
         for n, trial in enumerate(map(int, which)):
             new = _Current(plans.actions[n], float(plans.costs[n]), targets[n])
             old = self._plans.get(trial)
@@ -154,6 +161,15 @@ class PlanningAgent:
             else:
                 self._plans[trial] = new
 
+    def _starts(self, which: Indices, observations: Images) -> Any:
+        """Where plans start from."""
+        if self.privileged:
+            assert isinstance(self._trials, Privileged)
+            return self._trials.frames(which)
+        if self._memory is not None:
+            return self._memory.recall(which, observations)
+        return observations
+
 
 @dataclasses.dataclass
 class _Current:
@@ -161,7 +177,7 @@ class _Current:
 
     actions: NDArray[np.float32]
     cost: float
-    target: Images
+    target: Any
     acted: int = 0
     since: int = 0
 
@@ -178,7 +194,7 @@ class _Current:
 
     def still_better(self, new: _Current) -> bool:
         """Whether the rest of this plan is worth more than a new one."""
-        return self.left > 0 and self.cost <= new.cost and np.array_equal(self.target, new.target)
+        return self.left > 0 and self.cost <= new.cost and _same(self.target, new.target)
 
     def before_last_action(self) -> NDArray[np.float32]:
         """The plan as the search wants it for a warm start: it begins with the last action acted.
@@ -191,33 +207,64 @@ class _Current:
         return rest
 
 
-class RandomAgent:
-    """Actions drawn uniformly from the box: the floor."""
+class _Memory:
+    """What trials have seen and done, as far back as a world with context looks."""
 
-    def __init__(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> None:
-        self.low = low
-        self.high = high
+    def __init__(self, world: Remembering[Any]) -> None:
+        self._world = world
+        self._before = max(world.context - 1, 0)
+        self._seen: dict[int, Images] = {}
+        self._past: dict[int, list[tuple[Images, NDArray[np.float32]]]] = {}
 
-    def subgoals(self, trials: Trials, seeds: Sequence[int]) -> list[Images]:
-        """Return no subgoals."""
-        return NoSubgoals()(trials, seeds)
+    def clear(self) -> None:
+        self._seen.clear()
+        self._past.clear()
 
-    def act(
-        self, which: Indices, observations: Images, targets: Images, seeds: Sequence[int]
-    ) -> Decision:
-        """Return random actions."""
-        draws = [np.random.default_rng(seed).uniform(self.low, self.high) for seed in seeds]
-        return Decision(np.stack(draws).astype(np.float32))
+    def see(self, which: Indices, observations: Images) -> None:
+        self._seen.update(zip(map(int, which), observations, strict=True))
+
+    def keep(self, which: Indices, actions: NDArray[np.float32]) -> None:
+        for trial, action in zip(map(int, which), actions, strict=True):
+            past = self._past.setdefault(trial, [])
+            past.append((self._seen[trial], action))
+            del past[: len(past) - self._before]
+
+    def recall(self, which: Indices, observations: Images) -> Any:
+        images, actions = [], []
+        size = len(np.asarray(getattr(self._world, "action_low")))  # noqa: B009
+        for trial, now in zip(map(int, which), observations, strict=True):
+            past = self._past.get(trial, [])
+            first = past[0][0] if past else now
+            missing = self._before - len(past)
+            images.append(np.stack([first] * missing + [image for image, _ in past] + [now]))
+            zeros = [np.zeros(size, np.float32)] * missing
+            done = [*zeros, *(action for _, action in past)]
+            actions.append(np.array(done, np.float32).reshape(self._before, size))
+        return self._world.observe_history(np.stack(images), np.stack(actions))
 
 
-def images_of(frames: Frames) -> Images:
-    """The images of a world's frames: uint8 ``[N, H, W, 3]``.
+def frames_of(target: Any) -> Any:
+    """One image ``[H, W, 3]`` as a batch of one; frames as they are."""
+    return target[None] if isinstance(target, np.ndarray) and target.ndim == 3 else target
 
-    Raises:
-        TypeError: frames that are neither images nor have ``images``.
-    """
-    images = np.asarray(getattr(frames, "images", frames))
-    if images.dtype != np.uint8 or images.ndim != 4:
-        kind = type(frames).__name__
-        raise TypeError(f"frames: expected uint8 images or frames with such images, got {kind}")
-    return images
+
+def observed_all(world: Any, targets: Sequence[Any]) -> Any:
+    """Frames of the world ``[N]`` for targets that are images or frames."""
+    if all(isinstance(target, np.ndarray) and target.ndim == 3 for target in targets):
+        return observed(world, np.stack(targets))
+    return joined([frames_of(target) for target in targets], world)
+
+
+def _batch(world: Any, targets: Sequence[Any]) -> Any:
+    """Targets as the planner takes them: images ``[N, H, W, 3]`` where all are images."""
+    if all(isinstance(target, np.ndarray) and target.ndim == 3 for target in targets):
+        return np.stack(targets)
+    return joined([frames_of(target) for target in targets], world)
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two targets are the same: the same object, or equal images."""
+    if a is b:
+        return True
+    images = isinstance(a, np.ndarray) and isinstance(b, np.ndarray)
+    return images and np.array_equal(a, b)

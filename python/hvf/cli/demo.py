@@ -1,40 +1,41 @@
-"""``hvf demo``: the main job on a few episodes, with pictures."""
+"""``hvf demo DOMAIN``: the main job on a few episodes, with pictures."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from hvf.cli.plan import how_it_went, watch
-from hvf.cli.presets import begin_with_preset as prepare
-from hvf.domains.maze import MazeEvaluation, Preset
-from hvf.evaluation.task import AgentName
-
-if TYPE_CHECKING:
-    from hvf.evaluation.task import EpisodeTask
-
-__all__ = ["DemoMaze", "Shown", "maze", "prepare", "show"]
+from hvf.cli.arguments import domain_named, evaluating
+from hvf.evaluation.evaluation import Evaluation
 
 
 @dataclasses.dataclass(frozen=True)
-class Shown:
-    """What is shown of a few episodes, and where.
+class Demo:
+    """Reach goal images with subgoals and without; write pictures and a table.
+
+    Searches for subgoal images between the start image and the goal image of each episode, plans
+    to each in turn, and acts. Example:
+
+        hvf demo desk --task door_block --subgoals 2
 
     Attributes:
+        evaluation: which method, world and task, and how it plans; it is compared with none.
         episodes: how many.
         pictures: of how many of them to draw pictures.
         out: folder for the pictures and the results.
+        workers: processes that simulate and draw; 0 for as many as there are cores.
     """
 
+    evaluation: Evaluation
     episodes: int = 8
     pictures: int = 3
     out: Path = Path("outputs/demo")
+    workers: int = 0
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
@@ -43,73 +44,48 @@ class Shown:
             raise ValueError(f"pictures: must not be negative, got {self.pictures}")
 
 
-@dataclasses.dataclass(frozen=True)
-class DemoMaze(Shown):
-    """A few episodes of the maze.
-
-    Attributes:
-        evaluation: which world and difficulty, and how it plans; agent hvf is compared with none.
-        preset: settings to begin with; the options below show and change them one by one.
-    """
-
-    evaluation: Annotated[MazeEvaluation, tyro.conf.OmitArgPrefixes] = MazeEvaluation()
-    preset: Preset = "default"
-
-
-def maze(config: Annotated[DemoMaze, tyro.conf.arg(name="")]) -> None:
-    """Reach goal images in the maze, with subgoals and without; write pictures and a table.
-
-    Searches for subgoal images between the start image and the goal image of each episode, plans
-    to each in turn, and acts.
-    """
-
-    def task(agent: AgentName) -> EpisodeTask[Any]:
-        return dataclasses.replace(config.evaluation, agent=agent).task()
-
-    show(task, config.evaluation.agent, config, f"{config.episodes} episodes of the maze")
-
-
-def show(
-    make: Callable[[AgentName], EpisodeTask[Any]], agent: AgentName, config: Shown, title: str
-) -> None:
-    """Run the same episodes with an agent and without subgoals; write pictures and a table.
-
-    Args:
-        make: the task of an agent.
-        agent: the one whose episodes are drawn.
-        config: how many, and where.
-        title: of the table.
-    """
+def run(words: Sequence[str]) -> None:
+    """Run the same episodes with a method and without subgoals; write pictures and a table."""
+    from hvf.cli.watching import how_it_went, watch
+    from hvf.evaluation.code import code_of
     from hvf.evaluation.pictures import save_film, save_strip
-    from hvf.evaluation.run import Report, provenance, records, save, table
+    from hvf.evaluation.report import Report, save, table
+    from hvf.evaluation.run import records
+    from hvf.evaluation.task import Task
 
+    domain, rest = domain_named("demo", words)
+    domain.check_task(domain.default_task)
+    config = evaluating(Demo, "demo", domain, rest, **domain.demo)
     console = Console()
     reports: list[Report] = []
     pictures: list[Path] = []
-    agents: tuple[AgentName, ...] = ("none",) if agent == "none" else (agent, "none")
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    chosen = config.evaluation.method
+    methods = (chosen,) if chosen == "none" else (chosen, "none")
+    with (
+        Progress(console=console, transient=True, disable=not console.is_terminal) as progress,
+        domain.open(config.workers) as place,
+    ):
         bar = progress.add_task("loading", total=None)
-        for name in agents:
-            task = make(name)
-            steps = len(agents) * config.episodes * task.evaluation.acting.steps
-            progress.update(bar, total=steps)
-            done, seconds = [], 0.0
+        for method in methods:
+            task = Task(dataclasses.replace(config.evaluation, method=method), place)
+            progress.update(bar, total=len(methods) * config.episodes * task.steps)
+            done, began = [], time.perf_counter()
             for index in range(config.episodes):
                 outcome, episode = watch(task, index, progress, bar)
                 done += records(outcome, index)
-                seconds += outcome.search_seconds + outcome.acting_seconds
                 caption = f"{task.name}, episode {index}"
                 console.print(how_it_went(caption, outcome), highlight=False)
-                if name == agent and len(pictures) < config.pictures:
+                if method == chosen and len(pictures) < config.pictures:
                     progress.update(bar, description="drawing")
                     stem = config.out / f"episode-{index}"
                     save_strip(episode, stem.with_suffix(".png"), caption)
                     save_film(episode, stem.with_suffix(".gif"), caption)
                     pictures.append(stem)
-            report = Report(task.name, task.config, tuple(done), seconds, provenance())
-            save(report, config.out / f"{name}.json")
+            seconds = time.perf_counter() - began
+            report = Report.of(task.name, task.config, done, seconds, code_of())
+            save(report, config.out / f"{method}.json")
             reports.append(report)
-    console.print(table(reports, title))
+    console.print(table(reports, f"{config.episodes} episodes: {domain.name}"))
     for stem in pictures:
         console.print(f"{stem}.png (start, subgoals, goal, path) and {stem}.gif", highlight=False)
     console.print(f"{config.out}/*.json: every trial, all settings and versions", highlight=False)

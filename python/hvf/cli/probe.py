@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
 
-import tyro
-
-from hvf.experiments import prediction
+from hvf.cli.arguments import parsed
 
 
-def probe(config: Annotated[prediction.Probe, tyro.conf.arg(name="")]) -> None:
+def run(words: Sequence[str]) -> None:
     """Errors of a learned model's predictions, by steps ahead, beside "nothing moves".
 
     Images as PSNR, SSIM and ST-LPIPS (where installed); things as millimetres, by a probe that is
     trained on true frames and states for this alone. Model and domain come from the checkpoint and
     the data. Ctrl-C stops; the same command goes on from there.
     """
-    prediction.probe(config)
+    from hvf.experiments.prediction import Probe, probe  # torch, which takes a second
+
+    probe(parsed(Probe, "probe", words, prefixes=True, description=run.__doc__))

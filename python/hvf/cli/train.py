@@ -1,84 +1,27 @@
-"""``hvf train``: models from collected data."""
+"""``hvf train MODEL``: models from recorded episodes."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
 
 import tyro
 
-from hvf.training.recipes.keypoint import DynamicsTraining, train_dynamics
-from hvf.training.recipes.keypoint_generator import GeneratorTraining, train_keypoint_generator
-from hvf.training.recipes.layers import (
-    LargeLayersTraining,
-    LayersTraining,
-    train_layers,
-)
-from hvf.training.recipes.layers_generator import LayersGeneratorTraining, train_layers_generator
-from hvf.training.recipes.temporal_distance import TemporalDistanceTraining, train_temporal_distance
-from hvf.training.recipes.vae import DeskSubgoalTraining, SubgoalTraining, train_subgoals
+from hvf.cli.arguments import named, parsed, preset_named
+from hvf.registry import MODELS
 
 
-def dynamics(config: Annotated[DynamicsTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the compact dynamics model of the maze.
+def run(words: Sequence[str]) -> None:
+    """Train a model, or go on with a run that was stopped."""
+    name, rest = named("train", MODELS, lambda name: MODELS[name].about, words)
+    from hvf.training.recipe import recipe_class, run  # torch, which takes a second
 
-    Ctrl-C stops; the same command goes on from there.
-    """
-    train_dynamics(config)
-
-
-def desk_dynamics(config: Annotated[LayersTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the compact dynamics model of the Franka desk.
-
-    Ctrl-C stops; the same command goes on from there.
-    """
-    train_layers(config)
-
-
-def desk_dynamics_large(
-    config: Annotated[LargeLayersTraining, tyro.conf.arg(name="")],
-) -> None:
-    """Train the compact dynamics model of the Franka desk at a size for a GPU.
-
-    Ctrl-C stops; the same command goes on from there.
-    """
-    train_layers(config)
-
-
-def desk_generator(config: Annotated[LayersGeneratorTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the generator of subgoals that draws states of the Franka desk.
-
-    Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
-    """
-    train_layers_generator(config)
-
-
-def subgoals(config: Annotated[SubgoalTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the conditional variational autoencoder that draws subgoal images of the maze.
-
-    Ctrl-C stops; the same command goes on from there.
-    """
-    train_subgoals(config)
-
-
-def desk_subgoals(config: Annotated[DeskSubgoalTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the variational autoencoder that draws subgoal images of the Franka desk.
-
-    Ctrl-C stops; the same command goes on from there.
-    """
-    train_subgoals(config)
-
-
-def keypoint_generator(config: Annotated[GeneratorTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the generator of subgoals that draws keypoints for the compact dynamics model.
-
-    Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
-    """
-    train_keypoint_generator(config)
-
-
-def temporal_distance(config: Annotated[TemporalDistanceTraining, tyro.conf.arg(name="")]) -> None:
-    """Train the classifier of the steps between two frames, a planning cost for the maze.
-
-    Needs a trained dynamics model. Ctrl-C stops; the same command goes on from there.
-    """
-    train_temporal_distance(config)
+    recipe = recipe_class(name)
+    preset = preset_named(rest)
+    about = (
+        f"{MODELS[name].about}\n\nAssumes: {MODELS[name].assumes}.\n\n"
+        "Ctrl-C stops; the same command goes on from there. "
+        f"Presets: {', '.join(['default', *recipe.presets])}. "
+        f"Example: hvf train {name} --data data/episodes.h5"
+    )
+    default = recipe.of(preset, data=tyro.MISSING)
+    run(parsed(recipe, f"train {name}", rest, prefixes=True, default=default, description=about))

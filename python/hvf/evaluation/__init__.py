@@ -1,23 +1,9 @@
-"""Agents, the loop they act in, and success rates."""
+"""Acting in episodes, success rates, and pictures of both."""
 
-from hvf.domains.maze import MazeEvaluation, MazePlanning, MazeTrials
-from hvf.evaluation.acting import Agent, Decision, Outcome, Trial, Trials, act
-from hvf.evaluation.run import Report, evaluate
-from hvf.evaluation.statistics import wilson_interval
-from hvf.settings import Acting
+from hvf.evaluation.acting import Outcome, Trial, act
+from hvf.evaluation.evaluation import Evaluation
+from hvf.evaluation.report import Report
+from hvf.evaluation.run import evaluate
+from hvf.evaluation.task import Task
 
-__all__ = [
-    "Acting",
-    "Agent",
-    "Decision",
-    "MazeEvaluation",
-    "MazePlanning",
-    "MazeTrials",
-    "Outcome",
-    "Report",
-    "Trial",
-    "Trials",
-    "act",
-    "evaluate",
-    "wilson_interval",
-]
+__all__ = ["Evaluation", "Outcome", "Report", "Task", "Trial", "act", "evaluate"]

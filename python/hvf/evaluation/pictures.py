@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -38,7 +39,8 @@ def save_strip(episode: Episode, path: Path, title: str = "") -> None:
     for ax, (label, image) in zip(axes, panels, strict=False):
         _show(ax, image, label)
     steps = episode.trial.steps
-    _show(axes[-1], episode.observations[-1], f"path, {steps} steps: {_verdict(episode)}")
+    end = "end" if episode.path is None else "path"
+    _show(axes[-1], episode.observations[-1], f"{end}, {steps} steps: {_verdict(episode)}")
     _draw_path(axes[-1], episode)
     figure.suptitle(title or f"episode {episode.index}", fontsize=12)
     with replacing(path) as temporary:
@@ -67,6 +69,42 @@ def save_film(episode: Episode, path: Path, title: str = "", fps: float = 4.0) -
             iio.imwrite(temporary, np.stack(frames), extension=".mp4", fps=fps)
 
 
+def save_subgoals(
+    start: NDArray[np.uint8],
+    subgoals: NDArray[np.uint8],
+    goal: NDArray[np.uint8],
+    costs: Sequence[float],
+    path: Path,
+    title: str = "",
+) -> None:
+    """Write a PNG: start, subgoals and goal, with the planning cost of each segment between them.
+
+    Args:
+        start: uint8 ``[H, W, 3]``.
+        subgoals: uint8 ``[K, H, W, 3]``.
+        goal: uint8 ``[H, W, 3]``.
+        costs: of the ``K + 1`` segments.
+        path: file to write.
+        title: above the pictures.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    panels = [start, *subgoals, goal]
+    figure = Figure(figsize=(2.3 * len(panels), 3.1), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, len(panels))
+    for k, (ax, image) in enumerate(zip(axes, panels, strict=True)):
+        label = "start" if k == 0 else "goal" if k == len(panels) - 1 else f"subgoal {k}"
+        _show(ax, image, label)
+        if k:
+            ax.set_xlabel(f"cost from the left: {costs[k - 1]:.4f}", fontsize=8)
+    if title:
+        figure.suptitle(title, fontsize=12)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
 def _film(episode: Episode, title: str) -> list[NDArray[np.uint8]]:
     """Frames of the film, uint8 ``[height, width, 3]``."""
     figure = Figure(figsize=(6.4, 3.9), dpi=100, layout="constrained")
@@ -80,7 +118,8 @@ def _film(episode: Episode, title: str) -> list[NDArray[np.uint8]]:
     frames = []
     for step, observation in enumerate(episode.observations):
         seen.set_data(observation)
-        trail.set_data(episode.path[: step + 1, 0], episode.path[: step + 1, 1])
+        if episode.path is not None:
+            trail.set_data(episode.path[: step + 1, 0], episode.path[: step + 1, 1])
         last = step == episode.trial.steps
         left.set_title(f"step {step}" + (f": {_verdict(episode)}" if last else ""), fontsize=11)
         # The last observation was reached aiming at what the last action aimed at.
@@ -118,6 +157,8 @@ def _draw_target(ax: Axes, episode: Episode) -> None:
 
 
 def _draw_path(ax: Axes, episode: Episode) -> None:
+    if episode.path is None:
+        return
     x, y = episode.path[:, 0], episode.path[:, 1]
     ax.plot(x, y, "-", color=_PATH, linewidth=1.2)
     ax.plot(x[1:], y[1:], "o", color=_PATH, markersize=2.5)

@@ -1,37 +1,16 @@
-"""Trials with everything they saw, for pictures."""
+"""Episodes with everything that was seen, for pictures."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hvf.evaluation.acting import Images, Indices, Outcome, Trial, Trials, act
-from hvf.evaluation.task import EpisodeTask
-
-
-class DrawableTrials(Trials, Protocol):
-    """Trials whose images are functions of states, and that know where things are in them.
-
-    Attributes:
-        states: where the trials are, float64 ``[B, ...]``; they can be put elsewhere.
-    """
-
-    states: NDArray[np.float64]
-
-    def positions(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where what acts is in the images of ``states[N]``, pixels, ``[N, 2]``.
-
-        Column and row; the middle of the upper left pixel is (0, 0).
-        """
-        ...
-
-    def target(self, trial: int) -> tuple[float, float, float] | None:
-        """Return column, row and radius of where a trial should end; None if that is no place."""
-        ...
+from hvf.evaluation.acting import Outcome, Trial, Watcher, act
+from hvf.evaluation.task import Task
+from hvf.protocols import Images, Indices, Locating, Trials
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,19 +20,18 @@ class Episode:
     Attributes:
         index: its number.
         trial: its outcome.
-        observations: what was seen, uint8 ``[steps + 1, S, S, 3]``.
-        states: where everything was, float64 ``[steps + 1, ...]``.
-        path: where what acts was in the images, pixels, float64 ``[steps + 1, 2]``.
+        observations: what was seen, uint8 ``[steps + 1, H, W, 3]``.
+        path: where what acts was in the images, pixels, float64 ``[steps + 1, 2]``; None for a
+            domain that does not tell.
         target: column, row and radius of where that should end, pixels; None if it is no place.
-        subgoals: uint8 ``[K, S, S, 3]``.
-        goal: goal image, uint8 ``[S, S, 3]``.
+        subgoals: uint8 ``[K, H, W, 3]``.
+        goal: goal image, uint8 ``[H, W, 3]``.
     """
 
     index: int
     trial: Trial
     observations: Images
-    states: NDArray[np.float64]
-    path: NDArray[np.float64]
+    path: NDArray[np.float64] | None
     target: tuple[float, float, float] | None
     subgoals: Images
     goal: Images
@@ -69,11 +47,52 @@ class Episode:
         return image
 
 
+class Recorder:
+    """Keeps what trials see (a :class:`~hvf.evaluation.acting.Watcher`)."""
+
+    def __init__(self, trials: Trials) -> None:
+        self._trials = trials
+        self._seen: list[list[Images]] = [[] for _ in range(len(trials))]
+        self._path: list[list[NDArray[np.float64]]] = [[] for _ in range(len(trials))]
+
+    def chosen(self, trial: int) -> None:
+        """Subgoals are kept by the outcome."""
+
+    def seen(self, step: int, which: Indices, observations: Images) -> None:
+        """Keep what is seen, and where."""
+        places = self._trials.positions(which) if isinstance(self._trials, Locating) else None
+        for n, trial in enumerate(map(int, which)):
+            self._seen[trial].append(observations[n].copy())
+            if places is not None:
+                self._path[trial].append(places[n].copy())
+
+    def stepped(self, step: int, which: Indices) -> None:
+        """What comes of a step is seen before the next one."""
+
+    def finish(self, outcome: Outcome) -> None:
+        """Look once more at every trial, where its last step led."""
+        for trial, result in enumerate(outcome.trials):
+            if len(self._seen[trial]) == result.steps:
+                which = np.array([trial])
+                self.seen(result.steps, which, self._trials.observe(which))
+
+    def episode(self, index: int, trial: int, outcome: Outcome, subgoals: Images) -> Episode:
+        """A trial as an episode with this number."""
+        path, steps = self._path[trial], outcome.trials[trial].steps
+        located = isinstance(self._trials, Locating)
+        return Episode(
+            index,
+            outcome.trials[trial],
+            np.stack(self._seen[trial][: steps + 1]),
+            np.stack(path[: steps + 1]) if path else None,
+            self._trials.target(trial) if located else None,  # type: ignore[attr-defined]
+            subgoals,
+            self._trials.goals[trial],
+        )
+
+
 def record(
-    task: EpisodeTask[DrawableTrials],
-    first: int,
-    count: int,
-    after_step: Callable[[int, Indices], None] | None = None,
+    task: Task, first: int, count: int, watchers: Sequence[Watcher] = ()
 ) -> tuple[Outcome, list[Episode]]:
     """Run episodes ``first..first + count`` and keep what they saw.
 
@@ -81,32 +100,16 @@ def record(
         task: what to run.
         first: number of the first episode.
         count: how many.
-        after_step: as of :func:`~hvf.evaluation.acting.act`.
+        watchers: are told how it goes on.
     """
     trials = task.trials(first, count)
-    states = [[state] for state in trials.states.copy()]
-
-    def keep(step: int, which: Indices) -> None:
-        for trial in which:
-            states[trial].append(trials.states[trial].copy())
-        if after_step is not None:
-            after_step(step, which)
-
-    outcome = act(trials, task.agent, task.evaluation.acting, task.seeds(first, count), keep)
+    recorder = Recorder(trials)
+    seeds = task.seeds(first, count)
+    outcome = act(trials, task.agent, task.evaluation.acting, seeds, [recorder, *watchers])
+    recorder.finish(outcome)
     episodes = []
-    for offset, visited in enumerate(states):
-        # Frames are functions of the states: drawn again instead of kept.
-        trials.states = np.stack(visited)
-        episodes.append(
-            Episode(
-                first + offset,
-                outcome.trials[offset],
-                trials.observe(np.arange(len(visited))),
-                trials.states,
-                trials.positions(trials.states),
-                trials.target(offset),
-                outcome.subgoals[offset],
-                trials.goals[offset],
-            )
-        )
+    for offset, frames in enumerate(outcome.subgoals):
+        size = trials.goals.shape[1:]
+        images = task.agent.images(frames) if len(frames) else np.empty((0, *size), np.uint8)
+        episodes.append(recorder.episode(first + offset, offset, outcome, images))
     return outcome, episodes

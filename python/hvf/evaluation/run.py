@@ -6,32 +6,33 @@ goes on from there and ends in the same result, since a trial depends on its own
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import platform
-import subprocess
-import sys
-import time
-from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
-from hvf.evaluation.acting import Outcome
-from hvf.evaluation.statistics import wilson_interval
-from hvf.files import write_bytes
+from hvf.evaluation.acting import Outcome, Watcher
+from hvf.evaluation.code import code_of, same_code
+from hvf.evaluation.evaluation import Evaluation
+from hvf.evaluation.report import Report, TrialRecord, load, save
+from hvf.evaluation.task import Task
+from hvf.protocols import Images, Indices
 
-FORMAT = 1
-"""Version of the JSON that :class:`Report` is written as."""
+__all__ = ["Runnable", "evaluate", "evaluate_task"]
 
 
-class Task(Protocol):
-    """An agent on numbered episodes of an environment."""
+class Runnable(Protocol):
+    """A method on numbered episodes of a domain; see :class:`hvf.evaluation.task.Task`."""
 
     @property
     def name(self) -> str:
@@ -40,104 +41,58 @@ class Task(Protocol):
 
     @property
     def config(self) -> Mapping[str, Any]:
-        """All settings, JSON's types."""
+        """All settings, JSON's types: the head of the report."""
         ...
 
-    def run(self, first: int, count: int) -> Outcome:
+    @property
+    def steps(self) -> int:
+        """Most steps of an episode."""
+        ...
+
+    @property
+    def chunk(self) -> int:
+        """Episodes that run together if nothing else is asked for."""
+        ...
+
+    def run(self, first: int, count: int, watchers: Sequence[Watcher] = ()) -> Outcome:
         """Run episodes ``first..first + count``."""
         ...
 
 
-@dataclasses.dataclass(frozen=True)
-class TrialRecord:
-    """Outcome of one episode.
-
-    Attributes:
-        index: number of the episode.
-        success: whether the goal was reached.
-        steps: steps taken.
-        switches: steps before which the next subgoal was taken.
-        search_seconds: time of its subgoal search: its share of its chunk's.
-        step_seconds: time of deciding on one action: its share of its chunk's.
-        error: why it ended before its time, in failure; else None.
-    """
-
-    index: int
-    success: bool
-    steps: int
-    switches: tuple[int, ...]
-    search_seconds: float
-    step_seconds: float
-    error: str | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Report:
-    """What an evaluation found.
-
-    Attributes:
-        name: what was evaluated.
-        config: all settings.
-        trials: outcomes, in order of their index.
-        wall_seconds: time it took, over all runs if it was resumed.
-        provenance: code and program versions.
-    """
-
-    name: str
-    config: Mapping[str, Any]
-    trials: tuple[TrialRecord, ...]
-    wall_seconds: float
-    provenance: Mapping[str, Any]
-
-    @property
-    def successes(self) -> int:
-        """Number of successful trials."""
-        return sum(trial.success for trial in self.trials)
-
-    @property
-    def success_rate(self) -> float:
-        """Fraction of successful trials."""
-        return self.successes / len(self.trials)
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95% confidence interval of the success rate (Wilson, 1927)."""
-        return wilson_interval(self.successes, len(self.trials))
-
-    @property
-    def search_seconds(self) -> float:
-        """Mean time of one subgoal search; trials of a chunk share the cores."""
-        return sum(trial.search_seconds for trial in self.trials) / len(self.trials)
-
-    @property
-    def step_seconds(self) -> float:
-        """Mean time of deciding on one action; trials of a chunk share the cores."""
-        steps = sum(trial.steps for trial in self.trials)
-        return sum(trial.step_seconds * trial.steps for trial in self.trials) / max(steps, 1)
-
-    def to_json(self) -> dict[str, Any]:
-        """As written to disk."""
-        low, high = self.interval if self.trials else (0.0, 1.0)
-        return {
-            "format": FORMAT,
-            "name": self.name,
-            "config": self.config,
-            "successes": self.successes,
-            "success_rate": self.success_rate if self.trials else None,
-            "confidence_interval_95": [low, high],
-            "seconds_per_search": self.search_seconds if self.trials else None,
-            "seconds_per_step": self.step_seconds if self.trials else None,
-            "wall_seconds": self.wall_seconds,
-            "provenance": self.provenance,
-            "trials": [dataclasses.asdict(trial) for trial in self.trials],
-        }
-
-
 def evaluate(
-    task: Task,
+    evaluation: Evaluation,
+    trials: int = 100,
+    out: Path | None = None,
+    *,
+    chunk: int = 0,
+    workers: int = 0,
+    overwrite: bool = False,
+    console: Console | None = None,
+) -> Report:
+    """Run the first episodes of an evaluation's split; see :func:`evaluate_task`.
+
+    Args:
+        evaluation: which.
+        trials: how many episodes.
+        out: JSON file to write; its finished trials are kept and not run again.
+        chunk: trials that run in lock-step; 0 for what suits the domain.
+        workers: processes that simulate and draw, for domains that have any.
+        overwrite: start anew if ``out`` holds another evaluation.
+        console: where progress goes.
+
+    Raises:
+        FileNotFoundError: models that are not there.
+        FileExistsError, ValueError, KeyboardInterrupt: as :func:`evaluate_task`.
+    """
+    with Task.open(evaluation, workers) as task:
+        return evaluate_task(task, trials, out, chunk, overwrite, console)
+
+
+def evaluate_task(
+    task: Runnable,
     trials: int,
     out: Path | None = None,
-    chunk: int = 25,
+    chunk: int = 0,
     overwrite: bool = False,
     console: Console | None = None,
 ) -> Report:
@@ -147,7 +102,7 @@ def evaluate(
         task: what to run.
         trials: how many episodes.
         out: JSON file to write; its finished trials are kept and not run again.
-        chunk: trials that run in lock-step; the result does not depend on it.
+        chunk: trials that run in lock-step; the result does not depend on it. 0 for the task's.
         overwrite: start anew if ``out`` holds another evaluation.
         console: where progress goes.
 
@@ -156,137 +111,133 @@ def evaluate(
         ValueError: numbers that are not positive.
         KeyboardInterrupt: stopped; the same call goes on from there.
     """
-    for argument, value in (("trials", trials), ("chunk", chunk)):
-        if value < 1:
-            raise ValueError(f"{argument}: must be at least 1, got {value}")
+    if trials < 1:
+        raise ValueError(f"trials: must be at least 1, got {trials}")
+    if chunk < 0:
+        raise ValueError(f"chunk: must be at least 1, or 0 for the usual, got {chunk}")
     console = console or Console()
-    made_by = provenance()
-    done, earlier = ({}, 0.0) if out is None else _finished(out, task, made_by, overwrite)
-    begin = time.perf_counter()
+    code, config = code_of(), task.config
+    done, earlier = ({}, 0.0) if out is None else _finished(out, task.name, config, code, overwrite)
+    seconds = _Stopwatch(earlier)
 
-    def report(records: Mapping[int, TrialRecord]) -> Report:
-        ordered = tuple(records[index] for index in sorted(records) if index < trials)
-        seconds = earlier + time.perf_counter() - begin
-        return Report(task.name, task.config, ordered, seconds, made_by)
+    def report() -> Report:
+        ordered = tuple(done[index] for index in sorted(done) if index < trials)
+        return Report.of(task.name, config, ordered, seconds.now, code)
 
     missing = [index for index in range(trials) if index not in done]
-    with Progress(
-        TextColumn(f"{task.name}:"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("trials, {task.fields[success]} reached the goal, left"),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-    ) as progress:
-        successes = sum(record.success for record in done.values())
-        bar = progress.add_task("", total=trials, success=successes, completed=len(done))
+    with _progress(console, task.name) as (progress, bar):
+        total = trials * task.steps
+        progress.update(bar, total=total, completed=len(done) * task.steps)
+        watcher = _Bar(progress, bar, task.steps, trials, done)
         try:
-            for first, count in _runs(missing, chunk):
-                for record in records(task.run(first, count), first):
+            for first, count in _runs(missing, chunk or task.chunk):
+                watcher.begin(first, count)
+                for record in records(task.run(first, count, [watcher]), first):
                     done[record.index] = record
                     if record.error is not None:
                         console.print(f"{task.name}: {record.error}")
                 if out is not None:
-                    save(report(done), out)
-                successes = sum(record.success for record in done.values())
-                progress.update(bar, advance=count, success=successes)
+                    save(report(), out)
+                watcher.end()
         except KeyboardInterrupt:
             if out is not None:
                 console.print(f"{out}: stopped; the same command goes on from there")
             raise
-    return report(done)
+    return report()
 
 
-def save(report: Report, out: Path) -> None:
-    """Write a report, whole or not at all.
+def records(outcome: Outcome, first: int) -> list[TrialRecord]:
+    """The outcomes of episodes ``first`` and following, one record each.
 
-    Raises:
-        OSError: the file cannot be written.
+    Trials decide in lock-step: the time of a decision is each one's share.
     """
-    write_bytes(out, (json.dumps(report.to_json(), indent=1) + "\n").encode())
-
-
-def load(path: Path) -> Report:
-    """Read a report.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: the file is not a report, or is damaged.
-    """
-    try:
-        content = json.loads(path.read_text())
-        if content["format"] != FORMAT:
-            raise ValueError(f"format {content['format']}")
-        return Report(
-            content["name"],
-            content["config"],
-            tuple(
-                TrialRecord(**{**trial, "switches": tuple(trial["switches"])})
-                for trial in content["trials"]
-            ),
-            float(content["wall_seconds"]),
-            content["provenance"],
+    step = outcome.acting_seconds / max(outcome.decisions, 1)
+    return [
+        TrialRecord(
+            first + offset, trial.success, trial.steps, trial.switches, search, step, trial.error
         )
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path}: is not an evaluation of this version ({error})") from error
-
-
-def table(reports: Sequence[Report], title: str = "") -> Table:
-    """Reports as a table, one in a row."""
-    result = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1))
-    result.add_column("evaluation")
-    for column in ("success", "95%", "s/search", "ms/step"):
-        result.add_column(column, justify="right", no_wrap=True)
-    for report in reports:
-        low, high = report.interval
-        result.add_row(
-            report.name,
-            f"{report.success_rate:.0%} ({report.successes}/{len(report.trials)})",
-            f"{100 * low:.0f}-{high:.0%}",
-            f"{report.search_seconds:.2f}" if report.search_seconds > 1e-3 else "-",
-            f"{1e3 * report.step_seconds:.1f}",
+        for offset, (trial, search) in enumerate(
+            zip(outcome.trials, outcome.search_seconds, strict=True)
         )
-    return result
+    ]
 
 
-def provenance() -> dict[str, Any]:
-    """Commit and versions of the code that runs."""
-    packages = {}
-    for package in ("hvf", "numpy", "torch", "gymnasium", "mujoco"):
-        try:
-            packages[package] = version(package)
-        except PackageNotFoundError:
-            packages[package] = "not installed"
-    return {
-        "commit": _commit(),
-        "python": platform.python_version(),
-        "machine": f"{platform.machine()} {sys.platform}",
-        "packages": packages,
-    }
+class _Stopwatch:
+    """Wall time, on top of that of earlier runs."""
+
+    def __init__(self, earlier: float) -> None:
+        import time
+
+        self._clock = time.perf_counter
+        self._begin = self._clock() - earlier
+
+    @property
+    def now(self) -> float:
+        """Seconds so far."""
+        return self._clock() - self._begin
 
 
-def _commit() -> str | None:
-    """Commit of the working tree that this file is in; None outside of one."""
-    here = Path(__file__).parent
-    try:
-        commit = _git(here, "rev-parse", "HEAD")
-        changed = _git(here, "status", "--porcelain", "--untracked-files=no")
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return f"{commit} with changes" if changed else commit
+class _Bar:
+    """Moves a progress bar by every step and choice of subgoals (:class:`Watcher`)."""
+
+    def __init__(
+        self,
+        progress: Progress,
+        bar: TaskID,
+        steps: int,
+        trials: int,
+        done: Mapping[int, TrialRecord],
+    ) -> None:
+        self._progress, self._bar = progress, bar
+        self._steps, self._trials, self._done = steps, trials, done
+        self._first, self._count = 0, 0
+
+    def begin(self, first: int, count: int) -> None:
+        """A chunk begins."""
+        self._first, self._count = first, count
+        self._tell("choosing subgoals of")
+
+    def chosen(self, trial: int) -> None:
+        """A trial's subgoals are chosen."""
+        last = trial + 1 == self._count
+        self._tell("acting in" if last else f"chose subgoals of {trial + 1} of")
+
+    def seen(self, step: int, which: Indices, observations: Images) -> None:
+        """Trials see something: nothing to tell."""
+
+    def stepped(self, step: int, which: Indices) -> None:
+        """Trials took a step."""
+        ahead = len(self._done) * self._steps + step * self._count
+        self._progress.update(self._bar, completed=ahead)
+
+    def end(self) -> None:
+        """A chunk is done and saved."""
+        self._progress.update(self._bar, completed=len(self._done) * self._steps)
+        self._tell("")
+
+    def _tell(self, doing: str) -> None:
+        reached = sum(record.success for record in self._done.values())
+        now = f"; {doing} {self._count} trials" if doing else ""
+        words = f"{reached} of {len(self._done)} reached the goal, {self._trials} asked for{now}"
+        self._progress.update(self._bar, state=words)
 
 
-def _git(folder: Path, *arguments: str) -> str:
-    result = subprocess.run(
-        ["git", *arguments], cwd=folder, capture_output=True, text=True, check=True, timeout=10
+@contextlib.contextmanager
+def _progress(console: Console, name: str) -> Iterator[tuple[Progress, TaskID]]:
+    columns = (
+        TextColumn(f"{name}:"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("steps; {task.fields[state]}; left"),
+        TimeRemainingColumn(),
     )
-    return result.stdout.strip()
+    shown = console.is_terminal
+    with Progress(*columns, console=console, disable=not shown, transient=True) as progress:
+        yield progress, progress.add_task("", total=None, state="loading")
 
 
 def _finished(
-    out: Path, task: Task, made_by: Mapping[str, Any], overwrite: bool
+    out: Path, name: str, config: Mapping[str, Any], code: Mapping[str, Any], overwrite: bool
 ) -> tuple[dict[int, TrialRecord], float]:
     """Trials that an earlier run of the same evaluation has finished, and how long it took."""
     if not out.exists() or overwrite:
@@ -299,13 +250,13 @@ def _finished(
         raise FileExistsError(
             f"{out}: holds something else; choose another out, or overwrite"
         ) from error
-    same_config = json.loads(json.dumps(task.config)) == earlier.config
-    if not (same_config and earlier.name == task.name):
+    differs = earlier.differs_from(name, config)
+    if differs:
         raise FileExistsError(
-            f"{out}: holds another evaluation ({earlier.name}, or other settings); choose another "
-            "out, or overwrite"
+            f"{out}: holds another evaluation ({earlier.name}: {differs}); choose another out, or "
+            "overwrite"
         )
-    if earlier.provenance.get("commit") != made_by["commit"]:
+    if not same_code(earlier.code, code):
         raise FileExistsError(f"{out}: was begun by other code; choose another out, or overwrite")
     return {trial.index: trial for trial in earlier.trials}, earlier.wall_seconds
 
@@ -319,15 +270,3 @@ def _runs(missing: Sequence[int], chunk: int) -> list[tuple[int, int]]:
         else:
             runs.append((index, 1))
     return runs
-
-
-def records(outcome: Outcome, first: int) -> list[TrialRecord]:
-    """The outcomes of episodes ``first`` and following, one record each."""
-    search = outcome.search_seconds / len(outcome.trials)
-    step = outcome.acting_seconds / max(outcome.decisions, 1)
-    return [
-        TrialRecord(
-            first + offset, trial.success, trial.steps, trial.switches, search, step, trial.error
-        )
-        for offset, trial in enumerate(outcome.trials)
-    ]

@@ -33,9 +33,9 @@ from hvf.evaluation.prediction import (
     things_of,
 )
 from hvf.files import write_bytes
+from hvf.images import frame_grid, write_png
 from hvf.models.probe import PositionProbe
 from hvf.training.loop import LoopConfig
-from hvf.training.pictures import frame_grid, write_png
 from hvf.training.probe import train_probe
 
 _SHOWN = 12

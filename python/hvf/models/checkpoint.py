@@ -2,6 +2,10 @@
 
 The header of the file carries, as JSON, the class of the model, its config, the environment that
 it was trained for and the training run. Nothing is unpickled.
+
+The class leads to the model's entry in :data:`hvf.registry.MODELS`, so that a checkpoint can be
+loaded by anyone who has only its path (:func:`load_any`). A field that its config did not have yet
+when it was written takes the default of today, which must therefore mean what went without saying.
 """
 
 from __future__ import annotations
@@ -19,22 +23,18 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialise
 
 from hvf.files import write_bytes
+from hvf.models.entry import ModelEntry
+from hvf.registry import MODELS
 
 FORMAT = "hvf-model-1"
-
-# Names that classes had when older checkpoints were written.
-ALIASES = {
-    "DeskDynamics": "LayerDynamics",
-    "DeskGenerator": "LayerGenerator",
-    "DeskPerception": "LayerPerception",
-    "DeskProbe": "PositionProbe",
-}
 
 
 class Configured(Protocol):
     """A ``torch.nn.Module`` that is built from one frozen dataclass.
 
     ``Model(config)`` must work, and ``config`` must hold only JSON's types, tuples and dataclasses.
+    A class may also have ``keep_float32``, names of weights that half precision is too coarse for
+    (:func:`export_half`).
     """
 
     config_type: ClassVar[type[Any]]
@@ -65,6 +65,23 @@ class Header:
     training: Mapping[str, Any]
 
 
+@dataclasses.dataclass(frozen=True)
+class LoadedModel:
+    """A model that was loaded by its path alone.
+
+    Attributes:
+        name: its name in :data:`hvf.registry.MODELS`.
+        entry: what is known of models of this kind.
+        module: the model, in evaluation mode.
+        header: what the checkpoint says about itself.
+    """
+
+    name: str
+    entry: ModelEntry
+    module: torch.nn.Module
+    header: Header
+
+
 def save_model(
     path: str | Path,
     model: torch.nn.Module,
@@ -82,14 +99,15 @@ def save_model(
 
     Raises:
         TypeError: ``model`` has no config dataclass.
+        ValueError: ``training`` holds NaN or infinity, which JSON cannot hold.
         OSError: the file cannot be written; what was there stays.
     """
     header = {
         "format": FORMAT,
         "model": type(model).__name__,
-        "config": json.dumps(config_to_json(model), sort_keys=True),
+        "config": json.dumps(config_to_json(model), sort_keys=True, allow_nan=False),
         "environment": environment,
-        "training": json.dumps(dict(training or {}), sort_keys=True),
+        "training": json.dumps(dict(training or {}), sort_keys=True, allow_nan=False),
     }
     write_tensors(path, model.state_dict(), header)
 
@@ -102,6 +120,52 @@ def read_header(path: str | Path) -> Header:
         ValueError: not a checkpoint of this program, or damaged; names ``path``.
     """
     return _header(path, read_metadata(path))
+
+
+def entry_of(model: str) -> tuple[str, ModelEntry]:
+    """Name and entry, in :data:`hvf.registry.MODELS`, of the models whose class is ``model``.
+
+    Raises:
+        ValueError: no entry has that class; names those that there are.
+    """
+    known, absent = {}, []
+    for name in MODELS:
+        try:
+            entry = MODELS[name]
+        except ImportError as error:  # of another package; what is asked for may be there
+            absent.append(f"{name} ({error})")
+            continue
+        if model == entry.class_name or model in entry.formerly:
+            return name, entry
+        known[name] = entry.class_name
+    listed = ", ".join(f"{name} ({kind})" for name, kind in known.items())
+    missing = f"; not to be imported: {', '.join(absent)}" if absent else ""
+    raise ValueError(f"no model has the class {model!r}; known are {listed}{missing}")
+
+
+def load_any(
+    path: str | Path, *, environment: str | None = None, device: str | torch.device = "cpu"
+) -> LoadedModel:
+    """Load whatever model the checkpoint at ``path`` holds, in evaluation mode.
+
+    Args:
+        path: a file written by :func:`save_model`.
+        environment: if given, the environment that the checkpoint must be for.
+        device: where to put the weights.
+
+    Raises:
+        FileNotFoundError: no file at ``path``.
+        ValueError: as :func:`load_model`; or a class that no entry of
+            :data:`hvf.registry.MODELS` has.
+    """
+    tensors, metadata = read_tensors(path)
+    header = _header(path, metadata)
+    try:
+        name, entry = entry_of(header.model)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    model = _build(path, entry.resolved("module"), header, tensors, environment)
+    return LoadedModel(name, entry, model.to(device).eval(), header)
 
 
 def load_model(
@@ -126,8 +190,27 @@ def load_model(
     """
     tensors, metadata = read_tensors(path)
     header = _header(path, metadata)
-    if ALIASES.get(header.model, header.model) != model_class.__name__:
+    if header.model != model_class.__name__ and not _formerly(header.model, model_class.__name__):
         raise ValueError(f"{path}: holds a {header.model}, expected a {model_class.__name__}")
+    return _build(path, model_class, header, tensors, environment).to(device).eval()
+
+
+def _formerly(model: str, today: str) -> bool:
+    """Whether ``model`` is what checkpoints called the class ``today`` before it was renamed."""
+    try:
+        entry = entry_of(model)[1]
+    except ValueError:
+        return False
+    return entry.class_name == today and model in entry.formerly
+
+
+def _build(
+    path: str | Path,
+    model_class: type[ModelT],
+    header: Header,
+    tensors: Mapping[str, torch.Tensor],
+    environment: str | None,
+) -> ModelT:
     if environment is not None and header.environment != environment:
         raise ValueError(
             f"{path}: was trained for environment {header.environment!r}, expected {environment!r}"
@@ -139,25 +222,34 @@ def load_model(
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: config of {header.model} is not valid: {error}") from error
     load_weights(path, model, tensors)
-    return model.to(device).eval()
+    return model
 
 
 def export_half(source: str | Path, target: str | Path) -> int:
     """Copy the checkpoint at ``source`` to ``target`` in half precision; returns its bytes.
 
-    :func:`load_model` reads either; sums and products are in single precision all the same.
+    :func:`load_model` reads either; sums and products are in single precision all the same. What
+    the model's class names in ``keep_float32`` stays as it is: half precision has 11 bits, which
+    is less than a coordinate needs.
 
     Raises:
         FileNotFoundError: no file at ``source``.
-        ValueError: not a checkpoint of this program, or weights beyond half precision's range.
+        ValueError: not a checkpoint of this program, of a model that it does not know, or weights
+            beyond half precision's range.
         OSError: ``target`` cannot be written.
     """
     tensors, metadata = read_tensors(source)
-    _header(source, metadata)
+    header = _header(source, metadata)
+    try:
+        model_class = entry_of(header.model)[1].resolved("module")
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from None
+    kept = getattr(model_class, "keep_float32", ())
     halves = {}
     for name, tensor in tensors.items():
-        halves[name] = tensor.half() if tensor.is_floating_point() else tensor
-        if tensor.is_floating_point() and not bool(torch.isfinite(halves[name]).all()):
+        coarse = tensor.is_floating_point() and name not in kept
+        halves[name] = tensor.half() if coarse else tensor
+        if coarse and not bool(torch.isfinite(halves[name]).all()):
             raise ValueError(f"{source}: {name} does not fit into half precision")
     write_tensors(Path(target), halves, metadata)
     return Path(target).stat().st_size
@@ -233,18 +325,23 @@ def config_to_json(model: torch.nn.Module) -> dict[str, Any]:
 def config_from_json(config_type: type[Any] | None, values: Mapping[str, Any]) -> Any:
     """Build a dataclass, with its nested dataclasses and tuples, from JSON's types.
 
+    A field that is missing takes its default.
+
     Raises:
         TypeError: ``config_type`` is not a dataclass.
-        ValueError: an unknown or missing field, or a value that the dataclass refuses.
+        ValueError: an unknown field, a missing one that has no default, or a value that the
+            dataclass refuses.
     """
     if not dataclasses.is_dataclass(config_type):
         raise TypeError("config_type must be a dataclass")
     hints = typing.get_type_hints(config_type)
-    names = {field.name for field in dataclasses.fields(config_type)}
-    for name in values.keys() - names:
+    fields = {field.name: field for field in dataclasses.fields(config_type)}
+    for name in sorted(values.keys() - fields.keys()):
         raise ValueError(f"{config_type.__name__} has no field {name!r}")
-    for name in names - values.keys():
-        raise ValueError(f"field {name!r} of {config_type.__name__} is missing")
+    for name, field in fields.items():
+        needed = field.default is field.default_factory is dataclasses.MISSING
+        if needed and name not in values:
+            raise ValueError(f"field {name!r} of {config_type.__name__} is missing")
     return config_type(**{name: _restore(hints[name], value) for name, value in values.items()})
 
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias
 from hvf.registry import imported
 
 Role: TypeAlias = Literal["dynamics", "generator", "distance"]
-"""What a model is good for: predicting frames, drawing subgoals, or measuring how far frames are."""
+"""What a model is good for: predicting frames, drawing subgoals, or measuring how far they are."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,7 @@ class ModelEntry:
     def class_name(self) -> str:
         """Name of the module's class, as checkpoints have it."""
         return (
-            self.module.rpartition(":")[2]
-            if isinstance(self.module, str)
-            else self.module.__name__
+            self.module.rpartition(":")[2] if isinstance(self.module, str) else self.module.__name__
         )
 
     def resolved(self, attribute: str) -> Any:

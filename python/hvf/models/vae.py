@@ -1,13 +1,14 @@
 """Generative model of the images that are possible in a scene (paper, section 4.1 and appendix).
 
 A variational autoencoder, conditional on an image of the scene: the latent says what may change
-(the agent), the scene says what may not (the gaps). The same class without the scene is the VAE of
-the desk; other channels and strides make the CVAE of the BAIR robot.
+(the agent), the scene says what may not (the gaps). Without the scene it is the VAE of the desk;
+other channels and strides make the CVAE of the BAIR robot.
+
+How the configurations differ is in :mod:`hvf.models.vae_config`.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from itertools import pairwise
@@ -18,94 +19,30 @@ import torch.nn.functional as F
 from torch import nn
 
 from hvf.models.frames import to_unit
+from hvf.models.vae_config import (
+    BAIR_CVAE,
+    DESK_VAE,
+    PAPER_CVAE,
+    PAPER_VAE,
+    CVAEConfig,
+)
 
-
-@dataclasses.dataclass(frozen=True)
-class CVAEConfig:
-    """Sizes of the networks and weights of the loss. The defaults are the paper's maze CVAE.
-
-    Attributes:
-        image_size: height and width in pixels.
-        conditional: decode with the image of the scene; False is a plain VAE.
-        channels: of the 3x3 convolutions of the encoder; the decoder mirrors them.
-        strides: of the same convolutions.
-        latent_dim: dimensions of the latent, ``L``.
-        posterior_layers: fully connected layers between the encoder and the posterior.
-        scene_layers: fully connected layers on the scene's features; empty without a scene.
-        image_layers: fully connected layers between latent (and scene) and decoder.
-        pyramid_levels: the reconstruction is also compared after 1, 2, ... average poolings by 2:
-            without them the decoder learns the background and nothing else for a long time.
-        pyramid_weight: weight of each of these levels.
-        kl_weight: weight of the KL divergence to N(0, I), in nats, beside the reconstruction's
-            cross-entropy, summed over pixels and channels.
-        kl_start: its weight at step 0.
-        kl_steps: steps over which it grows, geometrically, to ``kl_weight``.
-    """
-
-    image_size: tuple[int, int] = (64, 64)
-    conditional: bool = True
-    channels: tuple[int, ...] = (16, 32, 64, 128)
-    strides: tuple[int, ...] = (2, 2, 2, 2)
-    latent_dim: int = 8
-    posterior_layers: tuple[int, ...] = (512,)
-    scene_layers: tuple[int, ...] = (512, 512, 256)
-    image_layers: tuple[int, ...] = (256, 256, 256)
-    pyramid_levels: int = 4
-    pyramid_weight: float = 1.0
-    kl_weight: float = 5.0
-    kl_start: float = 0.05
-    kl_steps: int = 2_000
-
-    def __post_init__(self) -> None:
-        if len(self.image_size) != 2 or min(self.image_size) < 8:
-            raise ValueError(f"image_size must be (height, width) >= 8, got {self.image_size}")
-        if not self.channels or min(self.channels) < 1:
-            raise ValueError(f"channels must be positive, got {self.channels}")
-        if len(self.strides) != len(self.channels) or not set(self.strides) <= {1, 2}:
-            raise ValueError(
-                f"strides must be 1 or 2 for each of {len(self.channels)} channels, "
-                f"got {self.strides}"
-            )
-        if self.latent_dim < 1:
-            raise ValueError(f"latent_dim must be at least 1, got {self.latent_dim}")
-        for name in ("posterior_layers", "scene_layers", "image_layers"):
-            if any(width < 1 for width in getattr(self, name)):
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        if self.conditional != bool(self.scene_layers):
-            raise ValueError("scene_layers must be given if, and only if, conditional")
-        if self.pyramid_levels < 0 or 2**self.pyramid_levels > min(self.image_size):
-            raise ValueError(
-                f"pyramid_levels must be from 0 to log2 of the image, got {self.pyramid_levels}"
-            )
-        for name in ("pyramid_weight", "kl_weight", "kl_start", "kl_steps"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        if self.kl_steps and min(self.kl_start, self.kl_weight) <= 0:
-            raise ValueError("kl_start and kl_weight must be positive for a growing weight")
-
-    def kl_weight_at(self, step: int) -> float:
-        """Weight of the KL divergence at a training step."""
-        if step >= self.kl_steps:
-            return self.kl_weight
-        return float(self.kl_start * (self.kl_weight / self.kl_start) ** (step / self.kl_steps))
-
+__all__ = [
+    "BAIR_CVAE",
+    "CVAE",
+    "DESK_VAE",
+    "PAPER_CVAE",
+    "PAPER_VAE",
+    "VAE",
+    "CVAEConfig",
+    "gaussian_kl",
+    "pyramid_loss",
+]
 
 # Differences to the mean image are about a quarter where there is something.
 _INPUT_SCALE = 4.0
-
-DESK_VAE = CVAEConfig(
-    conditional=False,
-    channels=(8, 16, 32, 32, 32, 64, 128),
-    strides=(1, 2, 1, 2, 1, 2, 1),
-    posterior_layers=(512,),
-    scene_layers=(),
-    image_layers=(512,),
-)
-BAIR_CVAE = CVAEConfig(
-    image_size=(48, 64),
-    channels=(8, 16, 32, 64, 64, 128, 128, 256, 512),
-    strides=(1, 1, 1, 1, 1, 1, 2, 2, 2),
-)
+# Added to the variance under the logarithm, which a rectified standard deviation may make 0.
+_LEAST_VARIANCE = 1e-5
 
 
 class CVAE(nn.Module):
@@ -121,26 +58,25 @@ class CVAE(nn.Module):
     def __init__(self, config: CVAEConfig) -> None:
         super().__init__()
         self.config = config
-        sizes = [config.image_size]
-        for stride in config.strides:
-            sizes.append((-(-sizes[-1][0] // stride), -(-sizes[-1][1] // stride)))
-        widths = (3, *config.channels)
+        sizes, widths = config.sizes, (3, *config.channels)
+        padding = 1 if config.padding == "same" else 0
         self._spatial = (config.channels[-1], *sizes[-1])
         features = math.prod(self._spatial)
 
         encoder: list[nn.Module] = []
         decoder: list[nn.Module] = []
         for i, stride in enumerate(config.strides):
-            encoder += [nn.Conv2d(widths[i], widths[i + 1], 3, stride, padding=1), nn.ReLU()]
+            encoder += [nn.Conv2d(widths[i], widths[i + 1], 3, stride, padding=padding), nn.ReLU()]
+            # Pixels that the transposed convolution alone would not give back.
             extra = (
-                sizes[i][0] - 1 - (sizes[i + 1][0] - 1) * stride,
-                sizes[i][1] - 1 - (sizes[i + 1][1] - 1) * stride,
+                sizes[i][0] - 3 + 2 * padding - (sizes[i + 1][0] - 1) * stride,
+                sizes[i][1] - 3 + 2 * padding - (sizes[i + 1][1] - 1) * stride,
             )
             up = nn.ConvTranspose2d(
-                widths[i + 1], widths[i], 3, stride, padding=1, output_padding=extra
+                widths[i + 1], widths[i], 3, stride, padding=padding, output_padding=extra
             )
             decoder = [nn.ReLU(), up, *decoder]
-        self.encoder = nn.Sequential(*encoder)
+        self.encoder = nn.Sequential(*(encoder if config.activate_final else encoder[:-1]))
         self.decoder = nn.Sequential(*decoder[1:])  # it starts from features that are not rectified
         images = 2 if config.conditional else 1
         self.posterior = _fully_connected(
@@ -150,7 +86,10 @@ class CVAE(nn.Module):
         if config.conditional:
             self.scene = _fully_connected(features, *config.scene_layers)
         self.image = _fully_connected(config.latent_dim + scene, *config.image_layers, features)
-        self.register_buffer("mean_image", torch.full((3, *config.image_size), 0.5))
+        if not config.activate_final and config.image_layers:
+            del self.image[-2]
+        if config.centred:
+            self.register_buffer("mean_image", torch.full((3, *config.image_size), 0.5))
         self._initialise()
 
     def centre(self, frames: torch.Tensor) -> CVAE:
@@ -161,8 +100,11 @@ class CVAE(nn.Module):
         that the first thousands of steps learn, while the latents die.
 
         Raises:
-            ValueError: another shape than the config's; TypeError: another dtype.
+            ValueError: another shape than the config's, or a config that is not centred.
+            TypeError: another dtype.
         """
+        if not self.config.centred:
+            raise ValueError("centre: the config says that images are taken as they are")
         if frames.dtype != torch.uint8:
             raise TypeError(f"frames must be uint8, got {frames.dtype}")
         if frames.ndim != 4 or frames.shape[1:] != (*self.config.image_size, 3) or not len(frames):
@@ -182,7 +124,8 @@ class CVAE(nn.Module):
         """Mean and log variance of the posterior, ``[B, L]`` each, of images in a scene ``[B]``."""
         parts = [image] if scene is None else [scene, image]
         features = self._encode(torch.cat(parts)).flatten(1)
-        return self._posterior(torch.cat(features.chunk(len(parts)), 1))
+        mean, _, log_variance = self._posterior(torch.cat(features.chunk(len(parts)), 1))
+        return mean, log_variance
 
     def decode_logits(self, latent: torch.Tensor, scene: torch.Tensor | None) -> torch.Tensor:
         """Logits of the images of ``latent [B, L]`` in the scene of ``scene [B]``."""
@@ -227,29 +170,32 @@ class CVAE(nn.Module):
         """Negative evidence bound, with a growing weight on the KL divergence.
 
         Args:
-            batch: ``image`` and, if conditional, ``scene``, uint8 ``[B, H, W, 3]``. Each image of
-                a pair is also the scene of the other, which saves half of the encoding.
+            batch: ``image`` and, if conditional, ``scene``, uint8 ``[B, H, W, 3]``. Learning both
+                ways, each image of a pair is also the scene of the other, which saves half of the
+                encoding.
             generator: of the posterior's noise.
             step: for the weight of the KL divergence.
         """
         image = to_unit(batch["image"])
-        if self.config.conditional:
-            image = torch.cat([image, to_unit(batch["scene"])])
-        spatial = self._encode(image)
-        flat = spatial.flatten(1)
         scene = None
         if self.config.conditional:
-            scene = spatial.roll(len(image) // 2, 0)
-            flat = torch.cat([scene.flatten(1), flat], 1)
-        mean, log_variance = self._posterior(flat)
+            both = torch.cat([image, to_unit(batch["scene"])])
+            spatial = self._encode(both)
+            if self.config.both_ways:
+                image, scene = both, spatial.roll(len(image), 0)
+            else:
+                spatial, scene = spatial.chunk(2)
+            flat = torch.cat([scene.flatten(1), spatial.flatten(1)], 1)
+        else:
+            flat = self._encode(image).flatten(1)
+        mean, deviation, log_variance = self._posterior(flat)
         noise = torch.randn(mean.shape, generator=generator, device=mean.device, dtype=mean.dtype)
-        logits = self._decode(mean + noise * torch.exp(0.5 * log_variance), scene).float()
+        logits = self._decode(mean + noise * deviation, scene).float()
 
-        size = len(image)
-        pixel = F.binary_cross_entropy_with_logits(logits, image, reduction="sum") / size
         prediction = torch.sigmoid(logits)
+        pixel = self._negative_likelihood(logits, prediction, image) / len(image)
         pyramid = pyramid_loss(prediction, image, self.config.pyramid_levels)
-        kl = gaussian_kl(mean, log_variance).mean()
+        kl = gaussian_kl(mean, log_variance, self._variance(deviation)).mean()
         total = pixel + self.config.pyramid_weight * pyramid
         total = total + self.config.kl_weight_at(step) * kl
         return total, {
@@ -259,7 +205,32 @@ class CVAE(nn.Module):
             "mse": F.mse_loss(prediction.detach(), image),
         }
 
+    def _negative_likelihood(
+        self, logits: torch.Tensor, prediction: torch.Tensor, image: torch.Tensor
+    ) -> torch.Tensor:
+        """In nats, summed over all that there is."""
+        least = self.config.least_probability
+        if least:
+            kept = prediction.clamp(least, 1 - least)
+            return -(image * kept.log() + (1 - image) * (1 - kept).log()).sum()
+        return F.binary_cross_entropy_with_logits(logits, image, reduction="sum")
+
     def _initialise(self) -> None:
+        if self.config.initialisation == "he":
+            self._initialise_he()
+            return
+        # The default of the library that the released code was written with (Sonnet 1).
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
+                inputs = float(module.weight[0].numel())
+                if isinstance(module, nn.ConvTranspose2d):
+                    inputs = module.weight.shape[0] * 9
+                std = 1 / math.sqrt(inputs)
+                nn.init.trunc_normal_(module.weight, std=std, a=-2 * std, b=2 * std)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+
+    def _initialise_he(self) -> None:
         """Keep the variance through rectified layers (He et al., 2015), and begin nearly noiseless.
 
         With torch's default the signal fades over ten layers, and with a variance of 1 it drowns in
@@ -280,12 +251,23 @@ class CVAE(nn.Module):
             cast(nn.ConvTranspose2d, last).weight *= 0.1
 
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
-        features: torch.Tensor = self.encoder((images - self.mean_image) * _INPUT_SCALE)
+        if self.config.centred:
+            images = (images - self.mean_image) * _INPUT_SCALE
+        features: torch.Tensor = self.encoder(images)
         return features
 
-    def _posterior(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        mean, log_variance = self.posterior(features).float().chunk(2, 1)
-        return mean, log_variance.clamp(-12, 4)
+    def _posterior(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Mean, standard deviation and log variance."""
+        mean, second = self.posterior(features).float().chunk(2, 1)
+        if self.config.posterior == "relu-std":
+            deviation = F.relu(second)
+            return mean, deviation, (_LEAST_VARIANCE + deviation.square()).log()
+        log_variance = second.clamp(-12, 4)
+        return mean, torch.exp(0.5 * log_variance), log_variance
+
+    def _variance(self, deviation: torch.Tensor) -> torch.Tensor | None:
+        """The variance, where it is not that of the log variance to the last bit."""
+        return deviation.square() if self.config.posterior == "relu-std" else None
 
     def _decode(self, latent: torch.Tensor, spatial: torch.Tensor | None) -> torch.Tensor:
         if spatial is None:
@@ -294,12 +276,33 @@ class CVAE(nn.Module):
             scene = self.scene(spatial.flatten(1)).expand(len(latent), -1)
             grown = self.image(torch.cat([scene, latent], 1)).unflatten(1, self._spatial) + spatial
         change: torch.Tensor = self.decoder(grown.contiguous(memory_format=torch.channels_last))
-        return change + torch.logit(self.mean_image, eps=1e-2)
+        if self.config.centred:
+            change = change + torch.logit(self.mean_image, eps=1e-2)
+        return change
 
 
-def gaussian_kl(mean: torch.Tensor, log_variance: torch.Tensor) -> torch.Tensor:
-    """KL divergence of N(mean, exp(log_variance)) to N(0, I) in nats: ``[B, L]`` to ``[B]``."""
-    return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(1)
+class VAE(CVAE):
+    """Images that are possible in the only scene that there is: a :class:`CVAE` without a scene.
+
+    Raises:
+        ValueError: a config with a scene.
+    """
+
+    def __init__(self, config: CVAEConfig) -> None:
+        if config.conditional:
+            raise ValueError("conditional must be False for a VAE")
+        super().__init__(config)
+
+
+def gaussian_kl(
+    mean: torch.Tensor, log_variance: torch.Tensor, variance: torch.Tensor | None = None
+) -> torch.Tensor:
+    """KL divergence of N(mean, exp(log_variance)) to N(0, I) in nats: ``[B, L]`` to ``[B]``.
+
+    ``variance`` may be given where it is known better than by its logarithm.
+    """
+    variance = log_variance.exp() if variance is None else variance
+    return 0.5 * (mean.square() + variance - 1 - log_variance).sum(1)
 
 
 def pyramid_loss(prediction: torch.Tensor, image: torch.Tensor, levels: int) -> torch.Tensor:

@@ -21,7 +21,7 @@ import torch
 from rich.console import Console
 
 from hvf.interrupts import Interrupts
-from hvf.models.checkpoint import config_to_json, save_model
+from hvf.models.checkpoint import config_to_json, read_header, save_model
 from hvf.training.report import Reporter, Validation
 from hvf.training.state import TrainingState, load_state, save_state
 
@@ -171,6 +171,9 @@ def train(
     same with the optimiser, to resume), TensorBoard's events, and ``pictures/``. Ctrl-C or SIGTERM
     finishes the step, writes both files and raises KeyboardInterrupt; the same call goes on.
 
+    The weights are written before the state: whoever is killed in between has weights that are
+    ahead of the state, which the next call makes again, and never a finished state without them.
+
     Args:
         model: a :class:`Trainable` module, freshly made with ``config.seed`` (:func:`seeded`).
         sampler: where the batches come from.
@@ -209,6 +212,9 @@ def train(
     first = load_state(out / "training.safetensors", state, identity)
     if first >= config.steps:
         console.print(f"{out}: already trained for {first} steps")
+        if _weights_are_behind(out / "model.safetensors", first):
+            measured = _finite(_validate(validate, model, config, device)) if validate else {}
+            _save_weights(out, model, identity, first, measured)
         return model.eval()
     if first:
         console.print(f"{out}: resuming at step {first}")
@@ -229,19 +235,15 @@ def train(
             if done % config.log_every == 0 or last or done == first + 1:
                 report.training(done, loss, {**parts, "learning_rate": config.rate(step)})
             if validate and (done % config.validate_every == 0 or done == config.steps):
+                report.validating()
                 found = _validate(validate, model, config, device)
-                metrics = {name: float(value) for name, value in found.metrics.items()}
+                metrics = _finite(found)
                 report.validation(done, found)
             if done % config.checkpoint_every == 0 or last:
                 if not math.isfinite(loss.item()):
                     raise RuntimeError(f"loss is {loss.item()} at step {step}; nothing was saved")
+                _save_weights(out, model, identity, done, metrics)
                 save_state(out / "training.safetensors", state, identity, done)
-                save_model(
-                    out / "model.safetensors",
-                    model,
-                    environment=environment,
-                    training={**identity["run"], "step": done, "validation": metrics},
-                )
             if stop:
                 console.print(f"{out}: stopped at step {done}; the same command goes on from there")
                 raise KeyboardInterrupt
@@ -292,6 +294,35 @@ def _validate(
         return validate(model, generator)
 
 
+def _finite(found: Validation) -> dict[str, float]:
+    """Metrics that are numbers: JSON has no NaN, and the mean over nothing is none."""
+    numbers = {name: float(value) for name, value in found.metrics.items()}
+    return {name: value for name, value in numbers.items() if math.isfinite(value)}
+
+
+def _save_weights(
+    out: Path,
+    model: torch.nn.Module,
+    identity: Mapping[str, Any],
+    step: int,
+    metrics: Mapping[str, float],
+) -> None:
+    save_model(
+        out / "model.safetensors",
+        model,
+        environment=identity["environment"],
+        training={**identity["run"], "step": step, "validation": dict(metrics)},
+    )
+
+
+def _weights_are_behind(path: Path, step: int) -> bool:
+    """Whether the weights of a run that has done ``step`` steps are missing, damaged or older."""
+    try:
+        return bool(read_header(path).training.get("step") != step)
+    except (FileNotFoundError, ValueError):
+        return True
+
+
 def _autocast(config: LoopConfig, device: torch.device) -> torch.autocast:
     wanted = config.precision == "bfloat16" or (
         config.precision == "auto" and device.type == "cuda"
@@ -314,7 +345,7 @@ def _identity(
         "environment": environment,
         "run": {**(run or {}), "loop": fixed},
     }
-    parsed: dict[str, Any] = json.loads(json.dumps(identity))
+    parsed: dict[str, Any] = json.loads(json.dumps(identity, allow_nan=False))
     return parsed
 
 

@@ -22,7 +22,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from hvf.training.pictures import write_png
+from hvf.images import write_png
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Reporter:
         self._console = console
         self._writer = SummaryWriter(os.fspath(out), purge_step=first + 1 if first else None)
         self._progress = Progress(
-            TextColumn("training"),
+            TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("loss {task.fields[loss]}"),
@@ -83,8 +83,13 @@ class Reporter:
         self._progress.update(self._task, completed=step, loss=f"{float(loss):.5g}")
         self._scalars("train", step, {"loss": loss, **parts})
 
+    def validating(self) -> None:
+        """Say that the model is being measured, which may take a while."""
+        self._progress.update(self._task, description="validating")
+
     def validation(self, step: int, found: Validation) -> None:
         """Report what a validation after ``step`` steps found, and write its pictures."""
+        self._progress.update(self._task, description="training")
         self._scalars("validation", step, found.metrics)
         for name, image in found.pictures.items():
             write_png(self._out / "pictures" / f"{name}_{step:07d}.png", image)

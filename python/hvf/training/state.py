@@ -1,21 +1,25 @@
 """What a run needs to go on after it was stopped: weights, optimiser and step, in safetensors.
 
-Batches and noise are functions of (seed, step), so there is no generator to keep.
+Batches and noise are functions of (seed, step), so there is no generator to keep. What is fitted
+without gradient before a training, or after it, is kept too (:func:`fitted`).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
 from hvf.models.checkpoint import load_weights, read_tensors, write_tensors
 
 FORMAT = "hvf-training-1"
+FITTED = "hvf-fitted-1"
+
+ModelT = TypeVar("ModelT", bound=torch.nn.Module)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,20 +60,60 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     if not path.exists():
         return 0
     tensors, metadata = read_tensors(path)
+    found = _identity(path, metadata, FORMAT, "a training state")
     try:
-        if metadata["format"] != FORMAT:
-            raise ValueError(f"format {metadata['format']!r}, expected {FORMAT!r}")
         step = int(metadata["step"])
-        found: dict[str, Any] = json.loads(metadata["identity"])
     except (KeyError, ValueError) as error:
         raise ValueError(f"{path}: is not a training state of this program ({error})") from error
-    difference = _difference(found, identity)
+    _refuse_another_run(path, found, identity)
+    _restore(path, state, tensors)
+    return step
+
+
+def fitted(
+    path: Path, model: ModelT, identity: Mapping[str, Any], fit: Callable[[ModelT], object]
+) -> ModelT:
+    """``model`` as ``fit`` leaves it, which is called once in a run's life.
+
+    Args:
+        path: file that keeps the weights, written after ``fit``.
+        model: what to fit, in place.
+        identity: what the result is a function of, as JSON's types.
+        fit: fits the model.
+
+    Raises:
+        ValueError: the file is damaged, or belongs to a run that differs in ``identity``; names
+            ``path`` and what differs.
+        OSError: the file cannot be written.
+    """
+    wanted = json.loads(json.dumps({"class": type(model).__name__, **identity}, allow_nan=False))
+    if path.exists():
+        tensors, metadata = read_tensors(path)
+        _refuse_another_run(path, _identity(path, metadata, FITTED, "what was fitted"), wanted)
+        load_weights(path, model, tensors)
+        return model
+    fit(model)
+    header = {"format": FITTED, "identity": json.dumps(wanted)}
+    write_tensors(path, model.state_dict(), header)
+    return model
+
+
+def _identity(path: Path, metadata: Mapping[str, str], kind: str, name: str) -> dict[str, Any]:
+    try:
+        if metadata["format"] != kind:
+            raise ValueError(f"format {metadata['format']!r}, expected {kind!r}")
+        found: dict[str, Any] = json.loads(metadata["identity"])
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{path}: is not {name} of this program ({error})") from error
+    return found
+
+
+def _refuse_another_run(path: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    difference = _difference(found, wanted)
     if difference:
         raise ValueError(
             f"{path}: belongs to another run ({difference}); choose another out, or remove it"
         )
-    _restore(path, state, tensors)
-    return step
 
 
 def _restore(path: Path, state: TrainingState, tensors: Mapping[str, torch.Tensor]) -> None:

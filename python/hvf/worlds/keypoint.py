@@ -1,11 +1,9 @@
-"""The learned models of the maze as the planner wants them.
+"""The keypoint models as the planner wants them.
 
 Perception runs in torch, rollouts and costs in Rust (`hvf_core.KeypointWorld`).
 """
 
 from __future__ import annotations
-
-from typing import Literal, Protocol
 
 import numpy as np
 import torch
@@ -15,9 +13,8 @@ import hvf_core
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.keypoint.generator import KeypointGenerator
-from hvf.models.vae import CVAE
-
-OverHorizon = Literal["last", "sum", "min"]
+from hvf.settings import OverHorizon, Planning
+from hvf.worlds.checks import checked_images
 
 _IMAGES_AT_ONCE = 512
 
@@ -84,14 +81,10 @@ class KeypointWorld:
             TypeError: images that are not uint8.
         """
         size = self.dynamics.config.perception.image_size
-        if images.dtype != np.uint8:
-            raise TypeError(f"images: must be uint8, got {images.dtype}")
-        if images.ndim != 4 or images.shape[1:] != (size, size, 3):
-            raise ValueError(f"images: expected shape [N, {size}, {size}, 3], got {images.shape}")
+        images = checked_images(images, size, size)
         device = self.dynamics.perception.colour.device
         with torch.inference_mode():
-            tensor = torch.from_numpy(np.ascontiguousarray(images))
-            parts = torch.split(tensor, _IMAGES_AT_ONCE)
+            parts = torch.split(torch.from_numpy(images), _IMAGES_AT_ONCE)
             observed = [self.dynamics.observe(part.to(device)) for part in parts]
             keypoints = torch.cat([keypoint for keypoint, _ in observed]).cpu().numpy()
             maps = torch.cat([scene for _, scene in observed]).cpu().numpy()
@@ -152,35 +145,19 @@ class KeypointSubgoals:
         return scene.moved(to_frames(images).numpy(), keypoints.numpy())
 
 
-class Seen(Protocol):
-    """Frames of a world that keeps the images they come from."""
-
-    @property
-    def images(self) -> NDArray[np.uint8]:
-        """Images uint8 `[N, S, S, 3]`."""
-        ...
+def world_of(dynamics: KeypointDynamics, planning: Planning) -> KeypointWorld:
+    """The world that a trained model is, with the cost of plan settings."""
+    return KeypointWorld(dynamics, planning.blur, planning.over_horizon)
 
 
-class ImageSubgoals:
-    """Subgoal images drawn by the paper's CVAE or VAE (`hvf.protocols.SubgoalModel`).
+def subgoals_of(generator: KeypointGenerator, world: object) -> KeypointSubgoals:
+    """Subgoals drawn by a trained generator in a keypoint world.
 
-    Goes with any world that can `observe` images.
+    Raises:
+        ValueError: another kind of world, whose frames have no keypoints.
     """
-
-    def __init__(self, cvae: CVAE) -> None:
-        self.cvae = cvae.eval()
-
-    @property
-    def latent_dim(self) -> int:
-        """Latent dimensions of one image."""
-        return self.cvae.config.latent_dim
-
-    def decode(self, scene: Seen, latents: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """Images uint8 `[M * K, S, S, 3]` for `latents [M, K, L]` in the scene of `scene [1]`."""
-        count = latents.shape[0] * latents.shape[1]
-        with torch.inference_mode():
-            flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
-            conditional = self.cvae.config.conditional
-            start = to_unit(torch.from_numpy(scene.images)) if conditional else None
-            images = self.cvae.decode(flat, start)
-        return to_frames(images).numpy()
+    inner = getattr(world, "world", world)
+    if not isinstance(inner, KeypointWorld):
+        kind = type(world).__name__
+        raise ValueError(f"generator: keypoint-generator needs keypoint dynamics, got {kind}")
+    return KeypointSubgoals(generator, inner)

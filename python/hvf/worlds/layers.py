@@ -1,11 +1,9 @@
-"""The learned dynamics of the desk as the planner wants them.
+"""The layers model as the planner wants it.
 
 Perception runs in torch; rollouts, drawn frames and costs in Rust (`hvf_core.LayerWorld`).
 """
 
 from __future__ import annotations
-
-from typing import Literal
 
 import numpy as np
 import torch
@@ -16,14 +14,14 @@ import hvf_core
 from hvf.models.frames import to_frames
 from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.layers.perception import Scene
-
-OverHorizon = Literal["last", "sum", "min"]
+from hvf.settings import OverHorizon, Planning
+from hvf.worlds.checks import checked_images
 
 _IMAGES_AT_ONCE = 64
 
 
 class LayerWorld:
-    """The compact dynamics of the desk as a world model (`hvf.protocols.WorldModel`).
+    """The layers model as a world model (`hvf.protocols.WorldModel`).
 
     Args:
         dynamics: the trained model.
@@ -77,11 +75,7 @@ class LayerWorld:
             TypeError: images that are not uint8.
         """
         size = self.dynamics.config.perception.image_size
-        if images.dtype != np.uint8:
-            raise TypeError(f"images: must be uint8, got {images.dtype}")
-        if images.ndim != 4 or images.shape[1:] != (size, size, 3):
-            raise ValueError(f"images: expected shape [N, {size}, {size}, 3], got {images.shape}")
-        images = np.ascontiguousarray(images)
+        images = checked_images(images, size, size)
         with torch.inference_mode():
             parts = torch.split(torch.from_numpy(images), _IMAGES_AT_ONCE)
             scenes = [self.dynamics.perception.scene(part.to(self._device)) for part in parts]
@@ -149,6 +143,11 @@ class LayerWorld:
         return self.native.frames(
             images, clean.cpu().numpy(), regions.cpu().numpy(), states.cpu().numpy()
         )
+
+
+def world_of(dynamics: LayerDynamics, planning: Planning) -> LayerWorld:
+    """The world that a trained model is, with the cost of plan settings."""
+    return LayerWorld(dynamics, planning.blur, planning.over_horizon)
 
 
 def _layers(network: nn.Module) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:

@@ -1,4 +1,4 @@
-"""Subgoals of the desk, drawn as states by a generator and as images by the compact dynamics."""
+"""Subgoals drawn as states by a generator, and as images by the layers model."""
 
 from __future__ import annotations
 
@@ -51,3 +51,15 @@ class StateSubgoals:
                 path.append(now)
             states = torch.stack(path, dim=1).flatten(0, 1)
         return self.world.changed(scene, states.numpy())
+
+
+def subgoals_of(generator: LayerGenerator, world: object) -> StateSubgoals:
+    """Subgoals drawn by a trained generator in a world of layers.
+
+    Raises:
+        ValueError: another kind of world, or states of another length.
+    """
+    if not isinstance(world, LayerWorld):
+        kind = type(world).__name__
+        raise ValueError(f"generator: layers-generator needs layers dynamics, got {kind}")
+    return StateSubgoals(generator, world)

@@ -24,7 +24,8 @@ from hvf.envs.desk.simulator import (
     DivergenceError,
     Floats,
 )
-from hvf.worlds.desk import OverHorizon, check_blur, check_over_horizon
+from hvf.settings import OverHorizon, check_blur, check_word
+from hvf.worlds.checks import checked_images
 
 Images = NDArray[np.uint8]
 
@@ -74,8 +75,8 @@ class MujocoWorld:
     def __init__(
         self, pool: DeskPool, blur: float = 0.0, over_horizon: OverHorizon = "last"
     ) -> None:
-        check_blur(blur)
-        check_over_horizon(over_horizon)
+        check_blur("blur", blur)
+        check_word("over_horizon", over_horizon, ("last", "sum", "min"))
         self.pool = pool
         self.blur = blur
         self.over_horizon: OverHorizon = over_horizon
@@ -98,12 +99,7 @@ class MujocoWorld:
             TypeError: images that are not uint8.
         """
         size = self.pool.image_size
-        if images.dtype != np.uint8:
-            raise TypeError(f"images: must be uint8, got {images.dtype}")
-        if images.ndim != 4 or images.shape[1:] != (size, size, 3):
-            raise ValueError(
-                f"images: expected shape [N, {size}, {size}, 3], got {list(images.shape)}"
-            )
+        images = checked_images(images, size, size)
         return DeskFrames(images, np.full((len(images), STATE_SIZE), np.nan))
 
     def rollout_costs(

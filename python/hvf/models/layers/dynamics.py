@@ -43,6 +43,14 @@ class LayerDynamics(nn.Module):
     """Perception and cell; see the module's documentation."""
 
     config_type: ClassVar[type[LayerDynamicsConfig]] = LayerDynamicsConfig
+    # Axes and grids that coordinates are read off by: half precision has 11 bits.
+    keep_float32: ClassVar[tuple[str, ...]] = (
+        "cell.contact",
+        "perception.backdrop.axis",
+        "perception.backdrop.offset",
+        "perception.gallery.low",
+        "perception.gallery.step",
+    )
 
     def __init__(self, config: LayerDynamicsConfig) -> None:
         super().__init__()

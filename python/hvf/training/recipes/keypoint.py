@@ -1,21 +1,20 @@
-"""Training the compact dynamics model: perception from pairs of frames, then the cell."""
+"""Training the keypoint dynamics: perception from pairs of frames, then the cell."""
 
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import torch
-from rich.console import Console
 
 from hvf.data.loader import EpisodePool, PairSampler
+from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics
 from hvf.models.keypoint.perception import KeypointPerception
-from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
+from hvf.training.loop import LoopConfig, Validation, seeded
+from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
 from hvf.training.tracks.keypoints import Transitions, TransitionSampler
 
 # Validation: windows of this many steps from each held-out episode, and how many are drawn.
@@ -23,24 +22,23 @@ _HORIZON = 5
 _SHOWN = 10
 
 
-@dataclasses.dataclass(frozen=True)
-class DynamicsTraining:
-    """Training of the compact dynamics model.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class KeypointRecipe(Recipe):
+    """Training of the keypoint dynamics, for one moving thing before a still scene.
 
     Attributes:
-        data: file of episodes (``hvf collect maze``).
-        out: directory of the run; a run that is already there is continued.
-        episodes: episodes whose transitions train the cell.
+        episodes: episodes whose transitions train the cell, at most.
         pairs: pairs of images per step while perception is trained.
         scenes: scenes per step while the cell is trained.
         transitions: transitions per scene and step.
-        model: the network.
+        model: the network; sizes of images and actions are the data's, and the largest action is,
+            where the data tells the range of its actions.
         perception_loop: how to optimise perception.
         loop: how to optimise the cell.
     """
 
-    data: Path
-    out: Path = Path("runs/dynamics")
+    name: ClassVar[str] = "keypoint"
+
     episodes: int = 6000
     pairs: int = 32
     scenes: int = 64
@@ -69,67 +67,60 @@ class DynamicsTraining:
     )
 
     def __post_init__(self) -> None:
-        for name in ("episodes", "pairs", "scenes", "transitions"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        super().__post_init__()
+        self.at_least_one("episodes", "pairs", "scenes", "transitions")
 
-
-def train_dynamics(config: DynamicsTraining, console: Console | None = None) -> KeypointDynamics:
-    """Train perception and cell, or go on with the run in ``config.out``.
-
-    Raises:
-        FileNotFoundError: no data file.
-        ValueError: a damaged or foreign data file, frames of another size than the model's, or
-            another run in ``config.out``.
-        KeyboardInterrupt: stopped; the same call goes on from there.
-    """
-    console = console or Console()
-    seed = config.loop.seed
-    held_out = EpisodePool(config.data, "validation", environment="maze", seed=seed)
-    held_out.move_to(0)
-    pool = EpisodePool(config.data, environment="maze", memory_gb=0.5, seed=seed)
-    run: dict[str, Any] = {
-        "command": "hvf train dynamics",
-        "data": dataclasses.asdict(pool.metadata),
-    }
-    size = config.model.perception.image_size
-    if pool.frames.shape[2:4] != (size, size):
-        raise ValueError(
-            f"{config.data}: frames are {pool.frames.shape[2:4]}, the model takes {(size, size)}"
+    def stages(self, data: TrainingData) -> Stages:
+        """Perception from pairs of frames, then the cell from the keypoints that it sees."""
+        seed = self.loop.seed
+        config = self.fitting(data)
+        pool = data.pool(memory_gb=0.5)
+        perception = yield Stage(
+            seeded(seed, lambda: KeypointPerception(config.perception)),
+            PairSampler(pool, self.pairs, seed),
+            self.perception_loop,
+            "perception: mask, keypoint and sprite from pairs of frames",
+            folder="perception",
+            settings={"pairs": self.pairs},
+            validate=lambda model, _: validate_perception(model, data.held_out),
         )
-    console.print("perception: mask, keypoint and sprite from pairs of frames")
-    perception = train(
-        seeded(seed, lambda: KeypointPerception(config.model.perception)),
-        PairSampler(pool, config.pairs, seed),
-        config.perception_loop,
-        config.out / "perception",
-        environment="maze",
-        run={**run, "pairs": config.pairs},
-        validate=lambda model, _: validate_perception(model, held_out),
-        console=console,
-    )
-    pool.close()
-    model = seeded(seed, lambda: KeypointDynamics(config.model)).freeze_perception(perception)
-    console.print("cell: how actions move the keypoint")
-    training = pool.metadata.episodes - len(held_out)
-    data = Transitions(config.data, model, min(config.episodes, training), console=console)
-    model.fit_backgrounds(torch.from_numpy(data.backgrounds[:, 0]))
-    return train(
-        model,
-        TransitionSampler(data, config.scenes, config.transitions, seed),
-        config.loop,
-        config.out,
-        environment="maze",
-        run={
-            **run,
-            "episodes": config.episodes,
-            "scenes": config.scenes,
-            "transitions": config.transitions,
-            "perception_steps": config.perception_loop.steps,
-        },
-        validate=lambda trained, _: validate_dynamics(trained, held_out),
-        console=console,
-    )
+        pool.close()
+        model = seeded(seed, lambda: KeypointDynamics(config)).freeze_perception(perception)
+        episodes = min(self.episodes, data.training)
+        found = Transitions(data.path, model, episodes, console=data.console)
+        model.fit_backgrounds(torch.from_numpy(found.backgrounds[:, 0]))
+        yield Stage(
+            model,
+            TransitionSampler(found, self.scenes, self.transitions, seed),
+            self.loop,
+            "cell: how actions move the keypoint",
+            settings={
+                "episodes": self.episodes,
+                "pairs": self.pairs,
+                "scenes": self.scenes,
+                "transitions": self.transitions,
+                "perception_steps": self.perception_loop.steps,
+            },
+            validate=lambda trained, _: validate_dynamics(trained, data.held_out),
+        )
+
+    def fitting(self, data: TrainingData) -> DynamicsConfig:
+        """The model's config, of the data's sizes.
+
+        Raises:
+            ValueError: images that the model cannot take.
+        """
+        size = data.square("the keypoint model")
+        largest = data.largest_action
+        try:
+            return dataclasses.replace(
+                self.model,
+                perception=dataclasses.replace(self.model.perception, image_size=size),
+                action_dim=data.action_dim,
+                action_scale=self.model.action_scale if largest is None else largest,
+            )
+        except ValueError as error:
+            raise ValueError(f"{data.path}: the keypoint model cannot take it: {error}") from error
 
 
 def validate_perception(model: KeypointPerception, held_out: EpisodePool) -> Validation:

@@ -1,42 +1,46 @@
-"""Training the generator of keypoints on what the compact dynamics model sees."""
+"""Training the generator of keypoints on what the keypoint dynamics sees."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.console import Console
 
 import hvf_core
 from hvf.data.loader import EpisodePool
+from hvf.images import frame_grid
+from hvf.models.checkpoint import load_model
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.keypoint.generator import GeneratorConfig, KeypointGenerator
-from hvf.training.loop import LoopConfig, Validation
-from hvf.training.on_keypoints import OnKeypoints, train_on_keypoints
-from hvf.training.pictures import frame_grid
-from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld
+from hvf.training.loop import LoopConfig, Validation, seeded
+from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
+from hvf.training.tracks.kept import checksum
+from hvf.training.tracks.keypoints import Transitions
 
 _SHOWN = 10
 _SAMPLES = 200
 
 
-@dataclasses.dataclass(frozen=True)
-class GeneratorTraining(OnKeypoints):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class KeypointGeneratorRecipe(Recipe):
     """Training of the keypoint generator.
 
     Attributes:
-        out: directory of the run; a run that is already there is continued.
-        episodes: episodes to learn from.
+        dynamics: trained keypoint dynamics (``hvf train keypoint``).
+        episodes: episodes to learn from, at most.
         batch_size: keypoints per step.
-        model: the network.
+        model: the network; the size of its images is the dynamics'.
         loop: how to optimise.
     """
 
-    out: Path = Path("runs/keypoint_generator")
+    name: ClassVar[str] = "keypoint-generator"
+
+    dynamics: Path = Path("runs/keypoint/model.safetensors")
     episodes: int = 1000
     batch_size: int = 1024
     model: GeneratorConfig = GeneratorConfig()
@@ -49,6 +53,35 @@ class GeneratorTraining(OnKeypoints):
         checkpoint_every=1000,
         threads=1,
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.at_least_one("episodes", "batch_size")
+
+    def stages(self, data: TrainingData) -> Stages:
+        """One stage: where keypoints are, given the code of their scene."""
+        seed = self.loop.seed
+        dynamics = load_model(self.dynamics, KeypointDynamics, environment=data.environment)
+        size = dynamics.config.perception.image_size
+        config = dataclasses.replace(self.model, image_size=size)
+        model = seeded(seed, lambda: KeypointGenerator(config))
+        episodes = min(self.episodes, data.training)
+        found = Transitions(data.path, dynamics, episodes, console=data.console)
+        codes = found.codes(dynamics, model.code)
+        yield Stage(
+            model,
+            KeypointSampler(found.keypoints, codes, self.batch_size, seed),
+            self.loop,
+            "generator: where the keypoint may be in a scene",
+            settings={
+                "dynamics": checksum(dynamics),
+                "episodes": self.episodes,
+                "batch_size": self.batch_size,
+            },
+            validate=lambda trained, generator: validate_generator(
+                trained, dynamics, data.held_out, generator
+            ),
+        )
 
 
 class KeypointSampler:
@@ -76,37 +109,19 @@ class KeypointSampler:
         }
 
 
-def train_keypoint_generator(
-    config: GeneratorTraining, console: Console | None = None
-) -> KeypointGenerator:
-    """Train the keypoint generator, or go on with the run in ``config.out``.
-
-    Raises:
-        FileNotFoundError: no data file, or no dynamics model.
-        ValueError: a damaged or foreign file, or another run in ``config.out``.
-        KeyboardInterrupt: stopped; the same call goes on from there.
-    """
-    return train_on_keypoints(
-        config,
-        "hvf train keypoint-generator",
-        KeypointGenerator,
-        KeypointSampler,
-        validate_generator,
-        console,
-    )
-
-
 def validate_generator(
     model: KeypointGenerator,
     dynamics: KeypointDynamics,
     held_out: EpisodePool,
     generator: torch.Generator,
 ) -> Validation:
-    """Samples in held-out scenes: how many stand where the agent can, and a picture of some.
+    """Samples in held-out scenes, a picture of some, and in the maze how many are free.
 
-    A sampled image is free if drawing the state that it shows again gives the same image: the true
-    renderer pushes an agent that stands in a wall out of it.
+    A sampled image of the maze is free, the agent standing where it can, if drawing the state that
+    it shows again gives the same image: the true renderer pushes an agent out of a wall.
     """
+    from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld  # for pictures only
+
     world = KeypointWorld(dynamics)
     subgoals = KeypointSubgoals(model, world)
     scenes = world.observe(held_out.frames[:20, 0])
@@ -117,9 +132,10 @@ def validate_generator(
             (_SAMPLES, 1, model.config.latent_dim), generator=generator, device=generator.device
         )
         images = subgoals.decode(scenes[np.array([i])], latents.cpu().numpy()).images
-        again = hvf_core.maze_render(hvf_core.maze_locate(images), images.shape[1])
-        errors.append(hvf_core.image_cost(images, again))
+        if held_out.metadata.environment == "maze":
+            again = hvf_core.maze_render(hvf_core.maze_locate(images), images.shape[1])
+            errors.append(hvf_core.image_cost(images, again))
         if i < _SHOWN:
             rows.append(images[:_SHOWN])
-    metrics = {"free": float((np.concatenate(errors) < 5e-4).mean())}
+    metrics = {"free": float((np.concatenate(errors) < 5e-4).mean())} if errors else {}
     return Validation(metrics, {"subgoals": frame_grid(rows, zoom=2)})

@@ -1,25 +1,25 @@
-"""Training the compact dynamics of the desk: what needs no gradient, the arm, then the cell."""
+"""Training the layers dynamics: what needs no gradient, the arm, then the cell."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.console import Console
 
 from hvf.data.loader import EpisodePool, WindowSampler
+from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
-from hvf.models.layers.arm import ArmConfig
-from hvf.models.layers.cell import CellConfig
 from hvf.models.layers.dynamics import LayerDynamics, LayerDynamicsConfig
-from hvf.models.layers.perception import LayerPerception, LayerPerceptionConfig
-from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
+from hvf.models.layers.perception import LayerPerception
+from hvf.training.loop import LoopConfig, Validation, seeded
+from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
+from hvf.training.state import fitted
+from hvf.training.tracks.kept import checksum
 from hvf.training.tracks.layers import LayerSampler, LayerTracks
 
 # Colours are found in this many pairs of frames, ten steps apart.
@@ -60,34 +60,45 @@ _LOOP = LoopConfig(
 )
 
 
-_LARGE = LayerDynamicsConfig(
-    perception=LayerPerceptionConfig(
-        arm=ArmConfig(channels=(32, 64, 64, 128), hidden=512, features=256, patch_rank=48)
-    ),
-    cell=CellConfig(hand_hidden=64, part_hidden=256, memory=8),
-)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LayersRecipe(Recipe):
+    """Training of the layers dynamics, for an arm and coloured parts before a still camera.
 
-
-@dataclasses.dataclass(frozen=True)
-class LayersTraining:
-    """Training of the compact dynamics of the desk.
+    Preset ``large`` is a size for a GPU.
 
     Attributes:
-        data: file of episodes (``hvf collect desk``).
-        out: directory of the run; a run that is already there is continued.
         episodes: episodes that the cell learns from, at most.
         memory_gb: memory for decoded frames while perception is trained.
         arm_batch: pairs of frames per step while the arm is trained.
         windows: stretches of states per step while the cell is trained.
         length: steps in a stretch.
         short_steps: the first of the cell's steps see more and shorter stretches.
-        model: the networks.
+        model: the networks. Their widths in pixels are for images of one size, so the size of
+            images is not taken from the data.
         arm_loop: how to optimise encoder and drawing of the arm.
         loop: how to optimise the cell.
     """
 
-    data: Path
-    out: Path = Path("runs/desk_dynamics")
+    name: ClassVar[str] = "layers"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "large": {
+            "episodes": 9000,
+            "memory_gb": 8.0,
+            "arm_batch": 256,
+            "windows": 1024,
+            "short_steps": 40_000,
+            "model.perception.arm": {
+                "channels": (32, 64, 64, 128),
+                "hidden": 512,
+                "features": 256,
+                "patch_rank": 48,
+            },
+            "model.cell": {"hand_hidden": 64, "part_hidden": 256, "memory": 8},
+            "arm_loop": {"steps": 20_000, "threads": 0},
+            "loop": {"steps": 60_000, "threads": 0},
+        }
+    }
+
     episodes: int = 9500
     memory_gb: float = 2.0
     arm_batch: int = 48
@@ -99,117 +110,116 @@ class LayersTraining:
     loop: LoopConfig = _LOOP
 
     def __post_init__(self) -> None:
-        for name in ("episodes", "arm_batch", "windows", "length"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        super().__post_init__()
+        self.at_least_one("episodes", "arm_batch", "windows", "length")
         if not (math.isfinite(self.memory_gb) and self.memory_gb > 0):
             raise ValueError(f"memory_gb must be positive, got {self.memory_gb}")
 
+    def stages(self, data: TrainingData) -> Stages:
+        """What needs no gradient and the arm; the gallery of its images; then the cell.
 
-@dataclasses.dataclass(frozen=True)
-class LargeLayersTraining(LayersTraining):
-    """Training at a size for a GPU; see :class:`LayersTraining`."""
-
-    out: Path = Path("runs/desk_dynamics_large")
-    episodes: int = 9000
-    memory_gb: float = 8.0
-    arm_batch: int = 256
-    windows: int = 1024
-    short_steps: int = 40_000
-    model: LayerDynamicsConfig = _LARGE
-    arm_loop: LoopConfig = dataclasses.replace(_ARM_LOOP, steps=20_000, threads=0)
-    loop: LoopConfig = dataclasses.replace(_LOOP, steps=60_000, threads=0)
-
-
-def train_layers(config: LayersTraining, console: Console | None = None) -> LayerDynamics:
-    """Train perception and cell, or go on with the run in ``config.out``.
-
-    Raises:
-        FileNotFoundError: no data file.
-        ValueError: a damaged or foreign data file, frames of another size than the model's, or
-            another run in ``config.out``.
-        KeyboardInterrupt: stopped; the same call goes on from there.
-    """
-    console = console or Console()
-    seed = config.loop.seed
-    held_out = EpisodePool(config.data, "validation", environment="desk", seed=seed)
-    held_out.move_to(0)
-    run: dict[str, Any] = {
-        "command": "hvf train desk-dynamics",
-        "data": dataclasses.asdict(held_out.metadata),
-        "memory_gb": config.memory_gb,
-        "arm_batch": config.arm_batch,
-    }
-    perception = _train_perception(config, held_out, run, console)
-    console.print("cell: how hand, sliders and parts move")
-    model = seeded(seed, lambda: LayerDynamics(config.model)).freeze_perception(perception)
-    training = held_out.metadata.episodes - len(held_out)
-    tracks = LayerTracks(config.data, perception, min(config.episodes, training), console=console)
-    model.fit_contact(*map(torch.from_numpy, tracks.contacts()))
-    return train(
-        model,
-        LayerSampler(tracks, config.windows, config.length, config.short_steps, seed),
-        config.loop,
-        config.out,
-        environment="desk",
-        run={
-            **run,
-            **{
-                name: getattr(config, name)
-                for name in ("episodes", "windows", "length", "short_steps")
+        What is fitted is kept in the run's folder and read from there when the run goes on.
+        """
+        seed = self.loop.seed
+        self.check(data)
+        pool = data.pool(self.memory_gb)
+        settings: dict[str, Any] = {"memory_gb": self.memory_gb, "arm_batch": self.arm_batch}
+        perception = yield Stage(
+            self._fit_perception(data, pool),
+            WindowSampler(pool, self.arm_batch, 1, seed),
+            self.arm_loop,
+            "arm: what an action moves, and what that looks like",
+            folder="perception",
+            settings=settings,
+            validate=lambda model, _: validate_arm(model, data.held_out),
+        )
+        self._fit_gallery(data, pool, perception)
+        pool.close()
+        model = seeded(seed, lambda: LayerDynamics(self.model)).freeze_perception(perception)
+        episodes = min(self.episodes, data.training)
+        tracks = LayerTracks(data.path, perception, episodes, console=data.console)
+        model.fit_contact(*map(torch.from_numpy, tracks.contacts()))
+        yield Stage(
+            model,
+            LayerSampler(tracks, self.windows, self.length, self.short_steps, seed),
+            self.loop,
+            "cell: how hand, sliders and parts move",
+            settings={
+                **settings,
+                "episodes": self.episodes,
+                "windows": self.windows,
+                "length": self.length,
+                "short_steps": self.short_steps,
+                "arm_steps": self.arm_loop.steps,
             },
-            "arm_steps": config.arm_loop.steps,
-        },
-        validate=lambda trained, _: validate_layers(trained, held_out),
-        console=console,
-    )
+            validate=lambda trained, _: validate_layers(trained, data.held_out),
+        )
 
+    def check(self, data: TrainingData) -> None:
+        """Refuse data that the model cannot be trained on.
 
-def _train_perception(
-    config: LayersTraining, held_out: EpisodePool, run: dict[str, Any], console: Console
-) -> LayerPerception:
-    seed, size = config.loop.seed, config.model.perception.image_size
-    if config.length > held_out.metadata.steps:
-        raise ValueError(
-            f"length must be from 1 to {held_out.metadata.steps} for {config.data}, "
-            f"got {config.length}"
+        Raises:
+            ValueError: images or actions of other sizes, or episodes that are too short.
+        """
+        config, steps = self.model.perception, data.metadata.steps
+        size = (config.image_size, config.image_size)
+        if self.length > steps:
+            raise ValueError(f"length must be from 1 to {steps} for {data.path}, got {self.length}")
+        if data.image_size != size:
+            raise ValueError(f"{data.path}: frames are {data.image_size}, the model takes {size}")
+        if data.action_dim != config.arm.action_dim:
+            raise ValueError(
+                f"{data.path}: actions have {data.action_dim} dimensions, "
+                f"the model's {config.arm.action_dim}"
+            )
+
+    def _fit_perception(self, data: TrainingData, pool: EpisodePool) -> LayerPerception:
+        """Colours, sliders, backdrop and sprites, before the arm is trained."""
+        seed = self.loop.seed
+
+        def fit(model: LayerPerception) -> None:
+            with data.phase("parts and backdrop: colours of what changes, and what is behind"):
+                pool.move_to(0)
+                frames = torch.from_numpy(np.ascontiguousarray(pool.frames[:, ::_STRIDE]))
+                with torch.inference_mode():
+                    model.fit(_pairs(pool, seed), frames, seed)
+
+        return fitted(
+            self.folder / "perception" / "fitted.safetensors",
+            seeded(seed, lambda: LayerPerception(self.model.perception)),
+            self._identity(data),
+            fit,
         )
-    pool = EpisodePool(config.data, environment="desk", memory_gb=config.memory_gb, seed=seed)
-    if pool.frames.shape[2:4] != (size, size):
-        raise ValueError(
-            f"{config.data}: frames are {pool.frames.shape[2:4]}, the model takes {(size, size)}"
+
+    def _fit_gallery(
+        self, data: TrainingData, pool: EpisodePool, perception: LayerPerception
+    ) -> None:
+        """Images of the arm, once its encoder is trained."""
+
+        def fit(model: LayerPerception) -> None:
+            with data.phase("gallery: images of the arm"):
+                # The same frames, however often the training was stopped.
+                pool.move_to(0)
+                with torch.inference_mode():
+                    model.fit_gallery(
+                        torch.from_numpy(pool.frames[:, ::_GALLERY_STRIDE]).flatten(0, 1)
+                    )
+
+        fitted(
+            self.folder / "perception" / "gallery.safetensors",
+            perception,
+            {**self._identity(data), "perception": checksum(perception)},
+            fit,
         )
-    if pool.actions.shape[2] != config.model.perception.arm.action_dim:
-        raise ValueError(
-            f"{config.data}: actions have {pool.actions.shape[2]} dimensions, "
-            f"the model's {config.model.perception.arm.action_dim}"
-        )
-    pool.move_to(0)
-    perception = seeded(seed, lambda: LayerPerception(config.model.perception))
-    console.print("parts and backdrop: colours of what changes, and what is behind")
-    frames = torch.from_numpy(np.ascontiguousarray(pool.frames[:, ::_STRIDE]))
-    with torch.inference_mode():
-        perception.fit(_pairs(pool, seed), frames, seed)
-    del frames
-    console.print("arm: what an action moves, and what that looks like")
-    trained = train(
-        perception,
-        WindowSampler(pool, config.arm_batch, 1, seed),
-        config.arm_loop,
-        config.out / "perception",
-        environment="desk",
-        run=run,
-        validate=lambda model, _: validate_arm(model, held_out),
-        console=console,
-    )
-    console.print("gallery: images of the arm")
-    # The same frames, however often the training was stopped.
-    pool.move_to(0)
-    with torch.inference_mode():
-        frames = torch.from_numpy(pool.frames[:, ::_GALLERY_STRIDE]).flatten(0, 1)
-        trained.fit_gallery(frames)
-    pool.close()
-    return trained
+
+    def _identity(self, data: TrainingData) -> dict[str, Any]:
+        """What is fitted is a function of this."""
+        return {
+            "data": dataclasses.asdict(data.metadata),
+            "model": dataclasses.asdict(self.model.perception),
+            "memory_gb": self.memory_gb,
+            "seed": self.loop.seed,
+        }
 
 
 def _pairs(pool: EpisodePool, seed: int) -> torch.Tensor:
@@ -262,8 +272,8 @@ def validate_layers(model: LayerDynamics, held_out: EpisodePool) -> Validation:
     their middles, over those of them that are seen whole at both ends and moved by more than 2
     pixels, beside the distance that they moved), ``gone`` how often a part's presence is right
     where it was lost or moved, sliders as a part of their way, where they moved by a twentieth,
-    the hand in full actions, frames as PSNR. The rows of the picture: start frames, true frames,
-    predicted frames.
+    the hand in full actions, frames as PSNR. What no window shows is left out.
+    The rows of the picture: start frames, true frames, predicted frames.
     """
     perception = model.perception
     device = perception.sprites.device
@@ -285,16 +295,17 @@ def validate_layers(model: LayerDynamics, held_out: EpisodePool) -> Validation:
     error = (guess - now)[..., :2].norm(dim=2)
     moved = whole & (went > 2.0)
     slides = (slid_to - slid_from).abs()
-    metrics = {
-        "hand": float((hand - hand_now).norm(dim=1).mean()),
-        "moved_parts": float(error[moved].mean()),
-        "moved_still": float(went[moved].mean()),
-        "still_parts": float(error[whole & (went < 1.0)].mean()),
+    measured = {
+        "hand": (hand - hand_now).norm(dim=1),
+        "moved_parts": error[moved],
+        "moved_still": went[moved],
+        "still_parts": error[whole & (went < 1.0)],
     }
     for i in range(slides.shape[1]):
         slid_far = slides[:, i] > 0.05
-        metrics[f"slider_{i}"] = float((slid - slid_to)[slid_far, i].abs().mean())
-        metrics[f"slider_{i}_still"] = float(slides[slid_far, i].mean())
+        measured[f"slider_{i}"] = (slid - slid_to)[slid_far, i].abs()
+        measured[f"slider_{i}_still"] = slides[slid_far, i]
+    metrics = {name: float(values.mean()) for name, values in measured.items() if len(values)}
     drawn = torch.cat(
         [
             perception.draw(perception.scene(some.to(device)), states).cpu()

@@ -1,23 +1,25 @@
-"""Training the generator of the desk's states on what the compact dynamics sees."""
+"""Training the generator of states on what the layers dynamics sees."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.console import Console
 
 from hvf.data.loader import EpisodePool
+from hvf.images import frame_grid
 from hvf.models.checkpoint import load_model
 from hvf.models.frames import to_frames
 from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
-from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
+from hvf.training.loop import LoopConfig, Validation, seeded
+from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
+from hvf.training.tracks.kept import checksum
 from hvf.training.tracks.layers import LayerTracks
 
 _SHOWN = 10
@@ -27,23 +29,21 @@ _LATER = (5, 30)
 _PLAN = 15
 
 
-@dataclasses.dataclass(frozen=True)
-class LayersGeneratorTraining:
-    """Training of the generator of the desk's states.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LayersGeneratorRecipe(Recipe):
+    """Training of the generator of states.
 
     Attributes:
-        data: file of episodes (``hvf collect desk``).
-        dynamics: trained compact dynamics (``hvf train desk-dynamics``).
-        out: directory of the run; a run that is already there is continued.
-        episodes: episodes to learn from.
+        dynamics: trained layers dynamics (``hvf train layers``).
+        episodes: episodes to learn from, at most.
         batch_size: pairs of states per step.
-        model: the network.
+        model: the network; all sizes of its states are the dynamics'.
         loop: how to optimise.
     """
 
-    data: Path
-    dynamics: Path = Path("runs/desk_dynamics/model.safetensors")
-    out: Path = Path("runs/desk_generator")
+    name: ClassVar[str] = "layers-generator"
+
+    dynamics: Path = Path("runs/layers/model.safetensors")
     episodes: int = 4000
     batch_size: int = 512
     model: LayerGeneratorConfig = LayerGeneratorConfig()
@@ -60,9 +60,37 @@ class LayersGeneratorTraining:
     )
 
     def __post_init__(self) -> None:
-        for name in ("episodes", "batch_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        super().__post_init__()
+        self.at_least_one("episodes", "batch_size")
+
+    def stages(self, data: TrainingData) -> Stages:
+        """One stage: what a scene may look like a few steps later."""
+        seed = self.loop.seed
+        dynamics = load_model(self.dynamics, LayerDynamics, environment=data.environment)
+        perception = dynamics.config.perception
+        config = dataclasses.replace(
+            self.model,
+            image_size=perception.image_size,
+            action_dim=perception.arm.action_dim,
+            sliders=perception.sliders,
+            roaming=perception.roaming,
+        )
+        episodes = min(self.episodes, data.training)
+        tracks = LayerTracks(data.path, dynamics.perception, episodes, console=data.console)
+        yield Stage(
+            seeded(seed, lambda: LayerGenerator(config)),
+            StatePairs(tracks, self.batch_size, seed),
+            self.loop,
+            "generator: states a few steps after others",
+            settings={
+                "dynamics": checksum(dynamics),
+                "episodes": self.episodes,
+                "batch_size": self.batch_size,
+            },
+            validate=lambda model, generator: validate_layers_generator(
+                model, dynamics, data.held_out, generator
+            ),
+        )
 
 
 class StatePairs:
@@ -124,51 +152,6 @@ class StatePairs:
         later = np.minimum(first + ahead, last)
         pairs: NDArray[np.int64] = np.stack([episode, first, later])
         return pairs[:, self._sure[episode, later]]
-
-
-def train_layers_generator(
-    config: LayersGeneratorTraining, console: Console | None = None
-) -> LayerGenerator:
-    """Train the generator of states, or go on with the run in ``config.out``.
-
-    Raises:
-        FileNotFoundError: no data file, or no dynamics model.
-        ValueError: a damaged or foreign file, or another run in ``config.out``.
-        KeyboardInterrupt: stopped; the same call goes on from there.
-    """
-    console = console or Console()
-    seed = config.loop.seed
-    dynamics = load_model(config.dynamics, LayerDynamics, environment="desk")
-    perception = dynamics.config.perception
-    model_config = dataclasses.replace(
-        config.model,
-        image_size=perception.image_size,
-        action_dim=perception.arm.action_dim,
-        sliders=perception.sliders,
-        roaming=perception.roaming,
-    )
-    held_out = EpisodePool(config.data, "validation", environment="desk", seed=seed)
-    held_out.move_to(0)
-    training = held_out.metadata.episodes - len(held_out)
-    episodes = min(config.episodes, training)
-    tracks = LayerTracks(config.data, dynamics.perception, episodes, console=console)
-    return train(
-        seeded(seed, lambda: LayerGenerator(model_config)),
-        StatePairs(tracks, config.batch_size, seed),
-        config.loop,
-        config.out,
-        environment="desk",
-        run={
-            "command": "hvf train desk-generator",
-            "episodes": config.episodes,
-            "batch_size": config.batch_size,
-            "data": dataclasses.asdict(held_out.metadata),
-        },
-        validate=lambda model, generator: validate_layers_generator(
-            model, dynamics, held_out, generator
-        ),
-        console=console,
-    )
 
 
 def validate_layers_generator(

@@ -5,37 +5,42 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.console import Console
 from torch.nn import functional as F
 
 from hvf.data.loader import EpisodePool
+from hvf.images import frame_grid
+from hvf.models.checkpoint import load_model
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.temporal_distance import TemporalDistance, TemporalDistanceConfig
-from hvf.training.loop import LoopConfig, Validation
-from hvf.training.on_keypoints import OnKeypoints, train_on_keypoints
-from hvf.training.pictures import frame_grid
+from hvf.training.loop import LoopConfig, Validation, seeded
+from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
+from hvf.training.tracks.kept import checksum
+from hvf.training.tracks.keypoints import Transitions
 
 _SHOWN = 10
 _PAIRS = 8192
 
 
-@dataclasses.dataclass(frozen=True)
-class TemporalDistanceTraining(OnKeypoints):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TemporalDistanceRecipe(Recipe):
     """Training of the temporal distance.
 
     Attributes:
-        out: directory of the run; a run that is already there is continued.
-        episodes: episodes to learn from.
+        dynamics: trained keypoint dynamics (``hvf train keypoint``).
+        episodes: episodes to learn from, at most.
         batch_size: pairs per step.
-        model: the network.
+        model: the network; the size of its images is the dynamics'.
         loop: how to optimise.
     """
 
-    out: Path = Path("runs/temporal_distance")
+    name: ClassVar[str] = "temporal-distance"
+
+    dynamics: Path = Path("runs/keypoint/model.safetensors")
     episodes: int = 3000
     batch_size: int = 2048
     model: TemporalDistanceConfig = TemporalDistanceConfig()
@@ -50,8 +55,37 @@ class TemporalDistanceTraining(OnKeypoints):
         threads=1,
     )
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.at_least_one("episodes", "batch_size")
 
-class PairSampler:
+    def stages(self, data: TrainingData) -> Stages:
+        """One stage: how many steps are between two keypoints of a scene."""
+        seed = self.loop.seed
+        dynamics = load_model(self.dynamics, KeypointDynamics, environment=data.environment)
+        size = dynamics.config.perception.image_size
+        config = dataclasses.replace(self.model, image_size=size)
+        model = seeded(seed, lambda: TemporalDistance(config))
+        episodes = min(self.episodes, data.training)
+        found = Transitions(data.path, dynamics, episodes, console=data.console)
+        codes = found.codes(dynamics, model.code)
+        yield Stage(
+            model,
+            KeypointPairs(found.keypoints, codes, self.batch_size, seed),
+            self.loop,
+            "distance: steps between two keypoints of a scene",
+            settings={
+                "dynamics": checksum(dynamics),
+                "episodes": self.episodes,
+                "batch_size": self.batch_size,
+            },
+            validate=lambda trained, generator: validate_temporal_distance(
+                trained, dynamics, data.held_out, generator
+            ),
+        )
+
+
+class KeypointPairs:
     """Pairs of keypoints of one episode, and the steps between them.
 
     Half of the pairs are turned around: random play has no direction. Steps are drawn such that
@@ -86,26 +120,6 @@ class PairSampler:
         }
 
 
-def train_temporal_distance(
-    config: TemporalDistanceTraining, console: Console | None = None
-) -> TemporalDistance:
-    """Train the temporal distance, or go on with the run in ``config.out``.
-
-    Raises:
-        FileNotFoundError: no data file, or no dynamics model.
-        ValueError: a damaged or foreign file, or another run in ``config.out``.
-        KeyboardInterrupt: stopped; the same call goes on from there.
-    """
-    return train_on_keypoints(
-        config,
-        "hvf train temporal-distance",
-        TemporalDistance,
-        PairSampler,
-        validate_temporal_distance,
-        console,
-    )
-
-
 def validate_temporal_distance(
     model: TemporalDistance,
     dynamics: KeypointDynamics,
@@ -120,7 +134,7 @@ def validate_temporal_distance(
     keypoints = torch.stack([dynamics.observe(episode)[0] for episode in frames])
     maps = dynamics.observe(frames[:, 0])[1]
     codes = model.code(maps)
-    batch = PairSampler(keypoints.numpy(), codes.numpy(), _PAIRS, 0).batch(0)
+    batch = KeypointPairs(keypoints.numpy(), codes.numpy(), _PAIRS, 0).batch(0)
     labels = model.classes(batch["steps"])
     logits = model.logits(batch["before"], batch["after"], batch["codes"])
     metrics = {

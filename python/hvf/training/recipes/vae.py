@@ -1,24 +1,32 @@
-"""Training the generator of subgoal images on pairs of images of one episode."""
+"""Training the generators of subgoal images on pairs of images of one episode."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.console import Console
 
 import hvf_core
 from hvf.data.loader import EpisodePool, PairSampler
+from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
-from hvf.models.vae import CVAE, DESK_VAE, CVAEConfig, gaussian_kl
-from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.training.pictures import frame_grid
+from hvf.models.vae import (
+    BAIR_CVAE,
+    CVAE,
+    DESK_VAE,
+    PAPER_CVAE,
+    PAPER_VAE,
+    VAE,
+    CVAEConfig,
+    gaussian_kl,
+)
+from hvf.training.loop import LoopConfig, Validation, seeded
+from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
 
 # Held-out pairs that a validation measures, and how many of them its picture shows.
 _PAIRS = 256
@@ -29,24 +37,31 @@ _SHARP = 0.25
 _MEAN_STRIDE = 10
 
 
-@dataclasses.dataclass(frozen=True)
-class SubgoalTraining:
-    """Training of the maze's CVAE.
+# As the released code optimises; the paper gives the rates, and the desk's is higher.
+_PAPER_LOOP = LoopConfig(steps=100_000, learning_rate=1e-4, precision="float32")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CVAERecipe(Recipe):
+    """Training of the paper's CVAE: images that are possible in a scene.
+
+    Preset ``paper`` is as the authors' released code does it, ``bair`` has the paper's layers for
+    BAIR's images; the table in :mod:`hvf.models.vae_config` has the differences.
 
     Attributes:
-        data: file of episodes (``hvf collect maze``).
-        out: directory of the run; a run that is already there is continued.
-        batch_size: pairs of images per step; each image is reconstructed in the scene of the
-            other; without a scene the first of each pair is.
+        batch_size: pairs of images per step; without a scene the first of each pair is learned.
         memory_gb: memory for decoded frames.
-        model: the network and its loss.
+        model: the network and its loss; the size of images is the data's.
         loop: how to optimise.
     """
 
-    environment: ClassVar[str] = "maze"
+    name: ClassVar[str] = "cvae"
+    model_class: ClassVar[type[CVAE]] = CVAE
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {"model": PAPER_CVAE, "batch_size": 256, "loop": _PAPER_LOOP},
+        "bair": {"model": BAIR_CVAE},
+    }
 
-    data: Path
-    out: Path = Path("runs/subgoals")
     batch_size: int = 16
     memory_gb: float = 2.0
     model: CVAEConfig = CVAEConfig()
@@ -55,59 +70,78 @@ class SubgoalTraining:
     )
 
     def __post_init__(self) -> None:
-        if self.batch_size < 1:
-            raise ValueError(f"batch_size must be at least 1, got {self.batch_size}")
+        super().__post_init__()
+        self.at_least_one("batch_size")
         if not (math.isfinite(self.memory_gb) and self.memory_gb > 0):
             raise ValueError(f"memory_gb must be positive, got {self.memory_gb}")
 
+    def stages(self, data: TrainingData) -> Stages:
+        """One stage: images given others of their episode."""
+        seed = self.loop.seed
+        config = self.fitting(data)
+        pool = data.pool(self.memory_gb)
+        pairs = PairSampler(data.held_out, _PAIRS, seed).batch(0)
+        model = seeded(seed, lambda: self.model_class(config))
+        if config.centred:
+            model.centre(_frames(pool))
+        probe = PROBES.get(data.environment)
+        yield Stage(
+            model,
+            PairSampler(pool, self.batch_size, seed),
+            self.loop,
+            "generator: images that are possible in a scene",
+            settings={"batch_size": self.batch_size, "memory_gb": self.memory_gb},
+            validate=lambda trained, generator: validate_subgoals(trained, pairs, generator, probe),
+        )
 
-@dataclasses.dataclass(frozen=True)
-class DeskSubgoalTraining(SubgoalTraining):
-    """Training of the desk's VAE (``hvf collect desk``); see :class:`SubgoalTraining`."""
+    def fitting(self, data: TrainingData) -> CVAEConfig:
+        """The model's config, of the data's size of images.
 
-    environment: ClassVar[str] = "desk"
+        Raises:
+            ValueError: images that the model cannot take.
+        """
+        try:
+            return dataclasses.replace(self.model, image_size=data.image_size)
+        except ValueError as error:
+            raise ValueError(f"{data.path}: the model cannot take its images: {error}") from error
 
-    out: Path = Path("runs/desk_subgoals")
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class VAERecipe(CVAERecipe):
+    """Training of the paper's VAE: images of the only scene that there is.
+
+    Preset ``paper`` has the paper's loss; what the paper does not say is as in the released code
+    of the CVAE (see :mod:`hvf.models.vae_config`).
+
+    Attributes:
+        batch_size: images per step.
+        memory_gb: memory for decoded frames.
+        model: the network and its loss; the size of images is the data's.
+        loop: how to optimise.
+    """
+
+    name: ClassVar[str] = "vae"
+    model_class: ClassVar[type[CVAE]] = VAE
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {
+            "model": PAPER_VAE,
+            "batch_size": 256,
+            "loop": dataclasses.replace(_PAPER_LOOP, learning_rate=1e-3),
+        }
+    }
+
     model: CVAEConfig = DESK_VAE
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.model.conditional:
+            raise ValueError("model.conditional must be False for a VAE")
 
-def train_subgoals(config: SubgoalTraining, console: Console | None = None) -> CVAE:
-    """Train the maze's CVAE or the desk's VAE, or go on with the run in ``config.out``.
 
-    Raises:
-        FileNotFoundError: no data file.
-        ValueError: a damaged or foreign data file, frames of another size than the model's, or
-            another run in ``config.out``.
-        KeyboardInterrupt: stopped; the same call goes on from there.
-    """
-    seed = config.loop.seed
-    environment = config.environment
-    pool = EpisodePool(config.data, environment=environment, memory_gb=config.memory_gb, seed=seed)
-    size = pool.frames.shape[2:4]
-    if size != config.model.image_size:
-        raise ValueError(
-            f"{config.data}: frames are {size}, the model takes {config.model.image_size}"
-        )
-    probe = maze_probe if environment == "maze" else None
-    held_out = EpisodePool(config.data, "validation", environment=environment, seed=seed)
-    pairs = PairSampler(held_out, _PAIRS, seed).batch(0)
+def _frames(pool: EpisodePool) -> torch.Tensor:
+    """Frames of the first step's episodes, for the mean image."""
     pool.move_to(0)
-    frames = torch.from_numpy(pool.frames[:, ::_MEAN_STRIDE].reshape(-1, *pool.frames.shape[2:]))
-    return train(
-        seeded(seed, lambda: CVAE(config.model)).centre(frames),
-        PairSampler(pool, config.batch_size, seed),
-        config.loop,
-        config.out,
-        environment=environment,
-        run={
-            "command": "hvf train subgoals" if environment == "maze" else "hvf train desk-subgoals",
-            "batch_size": config.batch_size,
-            "memory_gb": config.memory_gb,
-            "data": dataclasses.asdict(pool.metadata),
-        },
-        validate=lambda model, generator: validate_subgoals(model, pairs, generator, probe),
-        console=console,
-    )
+    return torch.from_numpy(pool.frames[:, ::_MEAN_STRIDE].reshape(-1, *pool.frames.shape[2:]))
 
 
 # Samples and what a true image of the same scene looks like, both uint8 [N, H, W, 3], to metrics.
@@ -198,3 +232,7 @@ def _agent_energy(images: NDArray[np.uint8], states: NDArray[np.float64]) -> NDA
     far[:, :2] *= -1
     difference = hvf_core.maze_render(far, images.shape[1]).astype(np.float64) - images
     return np.asarray((difference**2).sum((1, 2, 3)) / 2)
+
+
+PROBES: Mapping[str, Probe] = {"maze": maze_probe}
+"""What else can be measured in images of an environment, by its name."""

@@ -1,18 +1,22 @@
-"""Keypoints and actions of recorded episodes: what the compact dynamics model is trained on."""
+"""Keypoints and actions of recorded episodes: what the keypoint models are trained on."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
 from hvf.data.formats.hdf5 import EpisodeFile
 from hvf.models.frames import to_unit
 from hvf.models.keypoint.dynamics import KeypointDynamics
+from hvf.models.keypoint.scene_code import SceneCode
+from hvf.training.tracks.kept import kept_beside
 
 _EPISODES_AT_ONCE = 4
 
@@ -20,12 +24,18 @@ _EPISODES_AT_ONCE = 4
 class Transitions:
     """Keypoints of every frame, actions, and two backgrounds of every scene.
 
+    They are kept beside the file (:mod:`hvf.training.tracks.kept`).
+
     Args:
         path: file of episodes.
         model: whose perception finds the keypoints.
         episodes: how many episodes to read.
         first: the first of them.
         console: where progress goes.
+
+    Raises:
+        FileNotFoundError, ValueError: as :class:`EpisodeFile`; or episodes that are not there, or
+            frames of another size than the model's.
 
     Attributes:
         keypoints: float32 ``[P, T+1, 2]``, (row, column) in pixels.
@@ -42,32 +52,61 @@ class Transitions:
         first: int = 0,
         console: Console | None = None,
     ) -> None:
-        with EpisodeFile(path, "maze") as file:
-            if not 1 <= first + episodes <= len(file):
+        with EpisodeFile(path) as file:
+            if not (episodes >= 1 and 1 <= first + episodes <= len(file)):
                 raise ValueError(
                     f"episodes must be at most {len(file) - first} for {path}, got {episodes}"
                 )
-            steps, shape = file.metadata.steps, file.frame_shape
-            self.keypoints = np.empty((episodes, steps + 1, 2), np.float32)
-            self.actions = np.empty((episodes, steps, file.action_dim), np.float32)
-            self.backgrounds = np.empty((episodes, 2, *shape[:2]), np.float16)
-            frames = np.empty((_EPISODES_AT_ONCE, steps + 1, *shape), np.uint8)
-            device = next(model.parameters()).device
-            chunks = range(0, episodes, _EPISODES_AT_ONCE)
-            for begin in track(chunks, "keypoints of all frames", console=console, transient=True):
-                count = min(_EPISODES_AT_ONCE, episodes - begin)
-                for i in range(count):
-                    file.read_into(first + begin + i, frames[i], self.actions[begin + i])
-                part = slice(begin, begin + count)
-                with torch.inference_mode():
-                    images = to_unit(torch.from_numpy(frames[:count]).flatten(0, 1).to(device))
-                    keypoints = model.perception.keypoints(images).reshape(count, steps + 1, 2)
-                    ends = images.reshape(count, steps + 1, *images.shape[1:])[:, [0, -1]].flatten(
-                        0, 1
-                    )
-                    background = model.background(ends, keypoints[:, [0, -1]].flatten(0, 1))
-                self.keypoints[part] = keypoints.cpu().numpy()
-                self.backgrounds[part] = background.reshape(count, 2, *shape[:2]).cpu().numpy()
+            size = (model.config.perception.image_size,) * 2
+            if file.frame_shape[:2] != size:
+                raise ValueError(
+                    f"{path}: frames are {file.frame_shape[:2]}, the model takes {size}"
+                )
+            found = kept_beside(
+                Path(path),
+                file.metadata,
+                model.perception,
+                first,
+                episodes,
+                lambda: _see(file, model, episodes, first, console),
+                at_once=_EPISODES_AT_ONCE,
+                console=console,
+            )
+        self.keypoints: NDArray[np.float32] = found["keypoints"]
+        self.actions: NDArray[np.float32] = found["actions"]
+        self.backgrounds: NDArray[np.float16] = found["backgrounds"]
+
+    def codes(self, model: KeypointDynamics, code: SceneCode) -> NDArray[np.float32]:
+        """Codes ``[P, E]`` of the scenes, after fitting ``code`` to them."""
+        with torch.inference_mode():
+            maps = model.maps(torch.from_numpy(self.backgrounds[:, 0]).float())
+            codes: NDArray[np.float32] = code.fit(maps)(maps).numpy()
+        return codes
+
+
+def _see(
+    file: EpisodeFile, model: KeypointDynamics, episodes: int, first: int, console: Console | None
+) -> dict[str, NDArray[Any]]:
+    steps, shape = file.metadata.steps, file.frame_shape
+    keypoints = np.empty((episodes, steps + 1, 2), np.float32)
+    actions = np.empty((episodes, steps, file.action_dim), np.float32)
+    backgrounds = np.empty((episodes, 2, *shape[:2]), np.float16)
+    frames = np.empty((_EPISODES_AT_ONCE, steps + 1, *shape), np.uint8)
+    device = next(model.parameters()).device
+    chunks = range(0, episodes, _EPISODES_AT_ONCE)
+    for begin in track(chunks, "keypoints of all frames", console=console, transient=True):
+        count = min(_EPISODES_AT_ONCE, episodes - begin)
+        for i in range(count):
+            file.read_into(first + begin + i, frames[i], actions[begin + i])
+        part = slice(begin, begin + count)
+        with torch.inference_mode():
+            images = to_unit(torch.from_numpy(frames[:count]).flatten(0, 1).to(device))
+            found = model.perception.keypoints(images).reshape(count, steps + 1, 2)
+            ends = images.reshape(count, steps + 1, *images.shape[1:])[:, [0, -1]].flatten(0, 1)
+            background = model.background(ends, found[:, [0, -1]].flatten(0, 1))
+        keypoints[part] = found.cpu().numpy()
+        backgrounds[part] = background.reshape(count, 2, *shape[:2]).cpu().numpy()
+    return {"keypoints": keypoints, "actions": actions, "backgrounds": backgrounds}
 
 
 class TransitionSampler:

@@ -1,4 +1,4 @@
-"""Where everything is in recorded episodes of the desk: what the compact dynamics is trained on.
+"""Where everything is in recorded episodes: what the layers models are trained on.
 
 A part that the arm hides is looked for before and after: if it is seen again where it was, it was
 there all the time, and if it is never seen again it is gone. In between nothing is known, and
@@ -19,6 +19,7 @@ from scipy.ndimage import maximum_filter1d
 
 from hvf.data.formats.hdf5 import EpisodeFile
 from hvf.models.layers.perception import LayerPerception
+from hvf.training.tracks.kept import kept_beside
 
 # The middle of a part can be trusted when so much is seen of it, set against the most that is seen
 # of it within so many frames: parts far away are small.
@@ -39,8 +40,10 @@ Floats = NDArray[np.float32]
 class LayerTracks:
     """States of every frame, and actions, in memory.
 
+    What is seen is kept beside the file (:mod:`hvf.training.tracks.kept`).
+
     Args:
-        path: file of episodes of the desk.
+        path: file of episodes.
         perception: what finds the states.
         episodes: how many episodes to read.
         first: the first of them.
@@ -67,12 +70,12 @@ class LayerTracks:
         first: int = 0,
         console: Console | None = None,
     ) -> None:
-        with EpisodeFile(path, "desk") as file:
+        with EpisodeFile(path) as file:
             if not 1 <= episodes <= len(file) - first:
                 raise ValueError(
                     f"episodes must be from 1 to {len(file) - first} for {path}, got {episodes}"
                 )
-            steps, config = file.metadata.steps, perception.config
+            config = perception.config
             size, dimensions = (config.image_size, config.image_size), config.arm.action_dim
             if file.frame_shape[:2] != size:
                 raise ValueError(
@@ -82,17 +85,18 @@ class LayerTracks:
                 raise ValueError(
                     f"{path}: actions have {file.action_dim} dimensions, the model's {dimensions}"
                 )
-            self.states = np.empty((episodes, steps + 1, config.state_size), np.float32)
-            self.actions = np.empty((episodes, steps, file.action_dim), np.float32)
-            mass = np.empty((episodes, steps + 1, config.roaming), np.float32)
-            frames = np.empty((steps + 1, *file.frame_shape), np.uint8)
-            device = perception.sprites.device
-            numbers = range(episodes)
-            for i in progress(numbers, "states of all frames", console=console, transient=True):
-                file.read_into(first + i, frames, self.actions[i])
-                with torch.inference_mode():
-                    states, seen = perception.look(torch.from_numpy(frames).to(device))
-                self.states[i], mass[i] = states.cpu().numpy(), seen.cpu().numpy()
+            found = kept_beside(
+                Path(path),
+                file.metadata,
+                perception,
+                first,
+                episodes,
+                lambda: _see(file, perception, episodes, first, console),
+                console=console,
+            )
+        self.states: Floats = found["states"]
+        self.actions: Floats = found["actions"]
+        mass: Floats = found["mass"]
         self.mass = mass
         self.truth = self.states.copy()
         parts = self.truth[..., -3 * config.roaming :].reshape(*mass.shape, 3)
@@ -130,6 +134,27 @@ class LayerTracks:
         """Windows of ``length`` steps in which a slider moves, as :meth:`pushed`."""
         sliders = self.truth[..., self.hand.stop : self.parts.start]
         return np.argwhere((np.abs(sliders[:, length:] - sliders[:, :-length]) > _SLID).any(axis=2))
+
+
+def _see(
+    file: EpisodeFile,
+    perception: LayerPerception,
+    episodes: int,
+    first: int,
+    console: Console | None,
+) -> dict[str, Floats]:
+    steps, config = file.metadata.steps, perception.config
+    states = np.empty((episodes, steps + 1, config.state_size), np.float32)
+    actions = np.empty((episodes, steps, file.action_dim), np.float32)
+    mass = np.empty((episodes, steps + 1, config.roaming), np.float32)
+    frames = np.empty((steps + 1, *file.frame_shape), np.uint8)
+    device = perception.sprites.device
+    for i in progress(range(episodes), "states of all frames", console=console, transient=True):
+        file.read_into(first + i, frames, actions[i])
+        with torch.inference_mode():
+            found, seen = perception.look(torch.from_numpy(frames).to(device))
+        states[i], mass[i] = found.cpu().numpy(), seen.cpu().numpy()
+    return {"states": states, "actions": actions, "mass": mass}
 
 
 def track(parts: Floats, mass: Floats) -> tuple[Floats, NDArray[np.uint8]]:

@@ -1,4 +1,4 @@
-"""Pictures of what a model predicts: rows of frames in one image."""
+"""Images as files: read, written, and many laid out in one."""
 
 from __future__ import annotations
 
@@ -60,3 +60,24 @@ def write_png(path: str | Path, image: NDArray[np.uint8]) -> None:
     """
     with replacing(path) as temporary:
         Image.fromarray(image).save(temporary, format="png")
+
+
+def read_image(argument: str, path: str | Path) -> NDArray[np.uint8]:
+    """Read an image file as RGB, uint8 ``[height, width, 3]``.
+
+    Args:
+        argument: its name in errors.
+        path: a PNG, JPEG or anything else that Pillow reads.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no image.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{argument}: {path} is no file")
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image.convert("RGB"))
+    except (OSError, SyntaxError) as error:
+        raise ValueError(f"{argument}: {path} is no image ({error})") from error

@@ -1,0 +1,115 @@
+"""Methods: what is compared in an evaluation, by name.
+
+A method of another package is a :class:`Method` registered in ``hvf.registry.METHODS`` or by an
+entry point of the group ``hvf.methods``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hvf.agents.planning import PlanningAgent
+from hvf.agents.random import RandomAgent
+from hvf.agents.subgoals import ground_truth, no_subgoals, searched
+from hvf.protocols import Agent, SubgoalModel, SubgoalSource, WorldModel
+from hvf.settings import Planning
+
+
+@dataclass(frozen=True)
+class Means:
+    """What an agent is made of.
+
+    Attributes:
+        planning: how it plans.
+        subgoals: number of subgoals, ``K``.
+        action_low: lowest action, float32 ``[A]``.
+        action_high: highest action, float32 ``[A]``.
+        world: what it plans with; None for a method that needs no dynamics.
+        generator: what draws subgoals; None for a method that needs none.
+        privileged: plans start from frames of the trials (:class:`hvf.protocols.Privileged`) and
+            not from what is observed.
+    """
+
+    planning: Planning
+    subgoals: int
+    action_low: NDArray[np.float32]
+    action_high: NDArray[np.float32]
+    world: WorldModel[Any] | None = None
+    generator: SubgoalModel[Any] | None = None
+    privileged: bool = False
+
+    def planner(self, source: SubgoalSource) -> PlanningAgent:
+        """An agent that plans towards the subgoals of ``source``.
+
+        Raises:
+            ValueError: no world to plan with.
+        """
+        if self.world is None:
+            raise ValueError("world: a planning agent needs dynamics to plan with")
+        planning = self.planning
+        return PlanningAgent(self.world, planning.mpc, source, planning.replanning, self.privileged)
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method.
+
+    Attributes:
+        about: what it does, in a line.
+        title: its name in tables; ``{}`` stands for the number of subgoals.
+        agent: makes it.
+        needs_dynamics: whether it plans with a model.
+        needs_generator: whether it draws subgoals with a model.
+        has_subgoals: whether the number of subgoals is a setting of it.
+    """
+
+    about: str
+    title: str
+    agent: Callable[[Means], Agent]
+    needs_dynamics: bool = True
+    needs_generator: bool = False
+    has_subgoals: bool = False
+
+    def label(self, subgoals: int) -> str:
+        """Its name in tables, with this many subgoals."""
+        return self.title.format(subgoals)
+
+
+def _search(means: Means) -> Agent:
+    if not means.subgoals:
+        return means.planner(no_subgoals)
+    if means.world is None or means.generator is None:
+        raise ValueError("generator: a search for subgoals needs a model that draws them")
+    search = means.planning.search(means.subgoals)
+    return means.planner(searched(search, means.world, means.generator))
+
+
+NONE = Method(
+    "visual foresight: plans straight to the goal image (Finn & Levine, 2017)",
+    "no subgoals",
+    lambda means: means.planner(no_subgoals),
+)
+HVF = Method(
+    "hierarchical visual foresight: searches for subgoal images, then plans to each in turn",
+    "HVF-{}",
+    _search,
+    needs_generator=True,
+    has_subgoals=True,
+)
+GROUND_TRUTH = Method(
+    "gets the domain's own subgoals: an upper bound",
+    "ground truth-{}",
+    lambda means: means.planner(ground_truth(means.subgoals)),
+    has_subgoals=True,
+)
+RANDOM = Method(
+    "acts at random: the floor",
+    "random",
+    lambda means: RandomAgent(means.action_low, means.action_high),
+    needs_dynamics=False,
+)

@@ -1,0 +1,145 @@
+"""What verbs share: a name first, options generated from a dataclass, presets as their defaults."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import tyro
+from rich.console import Console
+
+from hvf.domains.domain import Domain
+from hvf.evaluation.evaluation import Evaluation
+from hvf.registry import COSTS, DOMAINS, METHODS, Registry
+
+ConfigT = TypeVar("ConfigT")
+
+
+def named(
+    verb: str, registry: Registry[Any], about: Callable[[str], str], words: Sequence[str]
+) -> tuple[str, list[str]]:
+    """The name that the words begin with, and the rest; without a name, say which there are.
+
+    Args:
+        verb: for messages.
+        registry: what may be named.
+        about: says what a name stands for, in a line.
+        words: the command line after the verb.
+
+    Raises:
+        ValueError: a name that there is not.
+        SystemExit: help was asked for, or nothing at all.
+    """
+    if words and not words[0].startswith("-"):
+        if words[0] not in registry:
+            registry[words[0]]  # raises, naming those that there are
+        return words[0], list(words[1:])
+    asked = any(word in ("-h", "--help") for word in words)
+    console = Console(stderr=not asked)
+    console.print(
+        f"usage: hvf {verb} {registry.kind.upper()} \\[options]; "
+        f"hvf {verb} {registry.kind.upper()} --help lists the options\n",
+        highlight=False,
+    )
+    for name in registry:
+        console.print(f"  [bold]{name:18}[/bold] {about(name)}", highlight=False)
+    raise SystemExit(0 if asked else 2)
+
+
+def domain_named(verb: str, words: Sequence[str]) -> tuple[Domain, list[str]]:
+    """The domain that the words begin with, and the rest; see :func:`named`."""
+    name, rest = named(verb, DOMAINS, lambda name: DOMAINS[name].about, words)
+    domain = DOMAINS[name]
+    if domain.task_word != "task":
+        rest = [_renamed(word, f"--{domain.task_word}", "--task") for word in rest]
+    return domain, rest
+
+
+def parsed(
+    config: type[ConfigT],
+    verb: str,
+    words: Sequence[str],
+    prefixes: bool = False,
+    **settings: Any,
+) -> ConfigT:
+    """A config from the command line.
+
+    Args:
+        config: its class; a dataclass, whose docstring is the help.
+        verb: with the name that follows it, for the usage line.
+        words: the rest of the command line.
+        prefixes: whether options of inner dataclasses are called ``--loop.steps``, not ``--steps``.
+        settings: keywords of :func:`tyro.cli`: ``default``, ``description``.
+
+    Raises:
+        SystemExit: help was asked for, or an option is wrong.
+        ValueError: a value that the config refuses.
+    """
+    made: ConfigT = tyro.cli(
+        config,
+        prog=f"hvf {verb}",
+        args=list(words),
+        config=() if prefixes else (tyro.conf.OmitArgPrefixes,),
+        **settings,
+    )
+    return made
+
+
+def evaluating(
+    config: type[ConfigT], verb: str, domain: Domain, words: Sequence[str], **own: Any
+) -> ConfigT:
+    """A config that has an ``evaluation``, with a preset of the domain as its defaults.
+
+    The preset that is named fills in the defaults of all other options before these are parsed, so
+    that ``--help`` shows what holds, and any single setting can be changed.
+
+    Args:
+        config: its class; a dataclass with a field ``evaluation``.
+        verb: for the usage line.
+        domain: whose presets.
+        words: the command line after the domain.
+        own: settings that the command begins with in place of the preset's: of the evaluation, or
+            of the config itself.
+    """
+    preset = preset_named(words)
+    fields = {field.name for field in dataclasses.fields(config)}  # type: ignore[arg-type]
+    mine = {name: value for name, value in own.items() if name in fields}
+    rest = {name: value for name, value in own.items() if name not in fields}
+    evaluation = Evaluation.of(domain.name, preset, **rest)
+    default: Any = config(evaluation=evaluation, **mine)  # type: ignore[call-arg]
+    about = (config.__doc__ or "").partition("\n\n    Attributes:")[0]
+    return parsed(
+        config,
+        f"{verb} {domain.name}",
+        words,
+        default=default,
+        description=f"{about}\n\n{choices(domain)}",
+    )
+
+
+def preset_named(words: Sequence[str]) -> str:
+    """The preset that a command line asks for: its settings are the defaults of the others."""
+    scanner = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    scanner.add_argument("--preset", default="default")
+    return str(scanner.parse_known_args(list(words))[0].preset)
+
+
+def choices(domain: Domain) -> str:
+    """What may be named in a domain, for help."""
+    lines = [
+        f"{domain.name}: {domain.about}.",
+        f"tasks ({domain.task_word}): {', '.join(domain.tasks) or 'none'}",
+        *(f"preset {name}: {preset.about}" for name, preset in domain.presets.items()),
+        *(f"method {name}: {METHODS[name].about}" for name in METHODS),
+        f"dynamics and generators: {', '.join(domain.weights) or 'none ship'}, simulator, oracle, "
+        "or a checkpoint",
+        *(f"cost {name}: {COSTS[name].about}" for name in COSTS),
+    ]
+    return "\n\n".join(lines)
+
+
+def _renamed(word: str, old: str, new: str) -> str:
+    """An option under another name."""
+    return new + word[len(old) :] if word == old or word.startswith(f"{old}=") else word

@@ -1,0 +1,183 @@
+"""One cell of the results: a method with its world and plan settings, on a task of a domain."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import tyro
+
+from hvf.data.splits import EPISODE_SEEDS
+from hvf.domains.domain import Domain
+from hvf.registry import DOMAINS, METHODS
+from hvf.settings import Acting, Planning, Preset, World
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """What is evaluated.
+
+    Attributes:
+        domain: name of the domain.
+        task: what is to be done there: one of its tasks.
+        method: what acts: "hvf" searches for subgoals, "none" plans straight to the goal,
+            "ground-truth" gets the domain's own subgoals, "random" acts at random.
+        subgoals: number of subgoals (K), for methods that have any.
+        world: what is planned with.
+        planning: how agents plan and act.
+        preset: name of the settings that this began with.
+        split: which episodes: "train", "validation" (on which settings are chosen) or "test" (for
+            published tables only).
+        seed: of the episodes and of all planning, in place of the split's.
+    """
+
+    domain: Annotated[str, tyro.conf.Fixed]
+    task: str
+    method: str = "hvf"
+    subgoals: int = 2
+    world: World = World()
+    planning: Planning = Planning()
+    preset: str = "default"
+    split: str = "validation"
+    seed: int | None = None
+
+    def __post_init__(self) -> None:
+        place = DOMAINS[self.domain]
+        place.check_task(self.task)
+        method = METHODS[self.method]
+        if self.subgoals < 0:
+            raise ValueError(f"subgoals: must not be negative, got {self.subgoals}")
+        if self.split not in EPISODE_SEEDS:
+            words = ", ".join(EPISODE_SEEDS)
+            raise ValueError(f"split: must be one of {words}; got {self.split!r}")
+        if self.seed is not None and not 0 <= self.seed < 2**64:
+            raise ValueError(f"seed: must be from 0 to 2**64 - 1, got {self.seed}")
+        place.preset(self.preset)
+        dynamics = place.resolved(self.world).dynamics
+        if method.needs_generator and dynamics in place.privileged:
+            raise ValueError(
+                f"method: {self.method!r} needs learned dynamics at the {self.domain}: no "
+                f"{dynamics} can start from a drawn subgoal"
+            )
+
+    @classmethod
+    def of(cls, domain: str, preset: str = "default", **settings: Any) -> Evaluation:
+        """An evaluation from settings of all its parts, beginning with a preset of the domain.
+
+        ``Evaluation.of("maze", "paper", method="none", horizon=10, dynamics="simulator")``
+
+        Raises:
+            ValueError: a domain or preset that there is not, or a setting out of range.
+            TypeError: a setting that there is not.
+        """
+        place = DOMAINS[domain]
+        chosen = place.preset(preset)
+        own = {field.name for field in dataclasses.fields(cls)}
+        worldly = {field.name for field in dataclasses.fields(World)}
+        mine: dict[str, Any] = {"task": place.default_task}
+        if chosen.method is not None:
+            mine["method"] = chosen.method
+        mine |= {name: value for name, value in settings.items() if name in own}
+        world = {name: value for name, value in settings.items() if name in worldly}
+        rest = {
+            name: value
+            for name, value in settings.items()
+            if name not in own and name not in worldly
+        }
+        known = {field.name for field in dataclasses.fields(Planning)}
+        for name in rest:
+            if name not in known:
+                raise TypeError(f"{name}: there is no such setting")
+        mine.setdefault("world", chosen.world)
+        mine["world"] = dataclasses.replace(mine["world"], **world)
+        mine.setdefault("planning", chosen.planning)
+        mine["planning"] = dataclasses.replace(mine["planning"], **rest)
+        return cls(domain=domain, preset=preset, **mine)
+
+    @property
+    def place(self) -> Domain:
+        """The domain itself."""
+        return DOMAINS[self.domain]
+
+    @property
+    def acting(self) -> Acting:
+        """The rule of acting."""
+        return self.planning.rule(self.place.steps(self.task))
+
+    @property
+    def episode_seed(self) -> int:
+        """Seed of the episodes and of all planning."""
+        return EPISODE_SEEDS[self.split] if self.seed is None else self.seed
+
+    @property
+    def label(self) -> str:
+        """The method in a few words."""
+        return METHODS[self.method].label(self.subgoals)
+
+    @property
+    def name(self) -> str:
+        """What is evaluated, in a few words."""
+        method = METHODS[self.method]
+        words = [self.label]
+        if method.needs_dynamics:
+            world = self.place.resolved(self.world)
+            words.append(_short(world.dynamics))
+            natural = self.place.resolved(World(self.world.dynamics)).generator
+            if method.needs_generator and world.generator != natural:
+                words[-1] += f" ({_short(world.generator)})"
+            if world.cost != "pixel":
+                words.append(f"{world.cost} cost")
+        return f"{self.domain} {self.task}: {', '.join(words)}"
+
+    @property
+    def slug(self) -> str:
+        """A name for its file: what it is, and all settings that differ from the preset's."""
+        method = METHODS[self.method]
+        words = [self.domain, self.task, self.label, self.preset]
+        preset = self.place.preset(self.preset)
+        settings = {
+            **_changes(self.world, preset.world),
+            **_changes(self.planning, preset.planning),
+        }
+        if not method.needs_generator:
+            settings.pop("generator", None)
+            settings = {k: v for k, v in settings.items() if not _of_search(k)}
+        if not method.needs_dynamics:
+            settings = {}
+        for name, value in settings.items():
+            words.append(f"{name}-{_short(str(value))}")
+        if self.split != "validation":
+            words.append(self.split)
+        if self.seed is not None:
+            words.append(f"seed-{self.seed}")
+        return re.sub(r"[^a-z0-9.]+", "-", " ".join(words).lower()).strip("-")
+
+
+def settings_changed(evaluation: Evaluation) -> dict[str, Any]:
+    """Settings of plan and world in which an evaluation differs from its preset."""
+    preset: Preset = evaluation.place.preset(evaluation.preset)
+    return {
+        **_changes(evaluation.world, preset.world),
+        **_changes(evaluation.planning, preset.planning),
+    }
+
+
+def _changes(a: Any, b: Any) -> Mapping[str, Any]:
+    """Fields of ``a`` that differ from those of ``b``."""
+    names = [field.name for field in dataclasses.fields(a)]
+    return {name: getattr(a, name) for name in names if getattr(a, name) != getattr(b, name)}
+
+
+def _of_search(name: str) -> bool:
+    """Whether a setting is one of the search for subgoals."""
+    return name.startswith("subgoal_") or name == "reduction"
+
+
+def _short(name: str) -> str:
+    """A model's name; a checkpoint by its run."""
+    if "/" not in name and not name.endswith(".safetensors"):
+        return name
+    words = name.removesuffix(".safetensors").removesuffix("/model").split("/")
+    return words[-1]

@@ -1,0 +1,98 @@
+"""What a table of experiments is made of: cells, each an evaluation beside a published number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hvf.evaluation.evaluation import Evaluation
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What all evaluations of an experiment share.
+
+    Attributes:
+        domain: where.
+        preset: settings that they begin with.
+        dynamics: what they plan with; None for the preset's.
+        generator: what draws subgoals; None for the preset's.
+        split: which episodes.
+    """
+
+    domain: str
+    preset: str = "paper"
+    dynamics: str | None = None
+    generator: str | None = None
+    split: str = "test"
+
+    def evaluation(self, method: str, subgoals: int = 0, **settings: Any) -> Evaluation:
+        """One of them; ``settings`` may have another ``preset``.
+
+        Raises:
+            ValueError, TypeError: a setting that there is not, or out of range.
+        """
+        world = {"dynamics": self.dynamics, "generator": self.generator}
+        named = {name: value for name, value in world.items() if value is not None}
+        own: dict[str, Any] = {
+            "preset": self.preset,
+            "method": method,
+            "subgoals": subgoals,
+            "split": self.split,
+        }
+        return Evaluation.of(self.domain, **{**own, **named, **settings})
+
+    @property
+    def options(self) -> str:
+        """As options of the command."""
+        words = [f"--preset {self.preset}"]
+        words += [f"--world {self.dynamics}"] if self.dynamics else []
+        words += [f"--generator {self.generator}"] if self.generator else []
+        words += [f"--split {self.split}"] if self.split != "test" else []
+        return " ".join(words)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A number of a table.
+
+    Attributes:
+        evaluation: gives ours; None where there is none to have.
+        published: the paper's, as a fraction; None where it is in a figure only.
+    """
+
+    evaluation: Evaluation | None
+    published: float | None = None
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """A table.
+
+    Attributes:
+        name: for ``--only``.
+        title: what it shows.
+        corner: what the rows are.
+        columns: names.
+        rows: name to cells, one a column.
+        extra: whether it is not the paper's: made only when it is named.
+    """
+
+    name: str
+    title: str
+    corner: str
+    columns: tuple[str, ...]
+    rows: Mapping[str, tuple[Cell, ...]]
+    extra: bool = False
+
+    def __post_init__(self) -> None:
+        for name, cells in self.rows.items():
+            if len(cells) != len(self.columns):
+                raise ValueError(f"rows: {name} must have {len(self.columns)} cells")
+
+    @property
+    def evaluations(self) -> list[Evaluation]:
+        """All that it needs, without repetition."""
+        cells = [cell for row in self.rows.values() for cell in row]
+        return list(dict.fromkeys(cell.evaluation for cell in cells if cell.evaluation))

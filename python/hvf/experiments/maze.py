@@ -1,0 +1,171 @@
+"""The maze's tables in Nair & Finn (ICLR 2020), and an ablation of our own settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hvf.evaluation.evaluation import Evaluation
+from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.registry import METHODS
+
+Published = Mapping[str, Mapping[int, float]]
+
+_BY_SUBGOALS = {0: 0.33, 1: 0.47, 2: 0.54, 3: 0.39, 5: 0.02, 10: 0.0}
+_BY_REDUCTION: Published = {"max": {1: 0.47, 2: 0.54}, "mean": {1: 0.45, 2: 0.53}}
+_BY_SAMPLES: Published = {
+    "200": {0: 0.33, 1: 0.47, 2: 0.54},
+    "1000": {0: 0.35, 1: 0.54, 2: 0.55},
+}
+_BY_HORIZON: Published = {
+    "5": {0: 0.33, 1: 0.47, 2: 0.54},
+    "10": {0: 0.46, 1: 0.55, 2: 0.37},
+    "15": {0: 0.31, 1: 0.39, 2: 0.24},
+}
+_BY_COST = {
+    "pixel": {"easy": 0.93, "medium": 0.68, "hard": 0.33},
+    "latent": {"easy": 0.62, "medium": 0.49, "hard": 0.23},
+}
+_METHODS = (
+    ("none", 0),
+    ("hvf", 1),
+    ("hvf", 2),
+    ("tap", 1),
+    ("tap", 2),
+    ("ground-truth", 1),
+    ("ground-truth", 2),
+    ("random", 0),
+)
+"""Methods of the paper's figure, and acting at random; those that there are become rows."""
+
+
+def maze(setup: Setup) -> list[PaperTable]:
+    """The maze's tables. Methods are a bar chart in the paper, with few numbers in the text.
+
+    Elites and the steps towards a subgoal stay as they are when samples or the horizon change.
+    """
+    difficulties = ("easy", "medium", "hard")
+
+    def subgoals(count: int, **settings: Any) -> Evaluation:
+        return setup.evaluation("hvf" if count else "none", count, task="hard", **settings)
+
+    def grid(
+        name: str, title: str, corner: str, numbers: Published, settings: Callable[[str], Any]
+    ) -> PaperTable:
+        counts = next(iter(numbers.values()))
+        rows = {
+            row: tuple(
+                Cell(subgoals(count, **{corner: settings(row)}), published)
+                for count, published in values.items()
+            )
+            for row, values in numbers.items()
+        }
+        return PaperTable(name, title, corner, tuple(map(_counted, counts)), rows)
+
+    def methods(method: str, count: int) -> tuple[Cell, ...]:
+        numbers = {"hard": _BY_SUBGOALS[count]} if method == "hvf" else {}
+        published = _BY_COST["pixel"] if method == "none" else numbers
+        return tuple(
+            Cell(setup.evaluation(method, count, task=task), published.get(task))
+            for task in difficulties
+        )
+
+    def cost(name: str) -> tuple[Cell, ...]:
+        # A simulator has states, no latents.
+        possible = name == "pixel" or setup.dynamics != "simulator"
+        return tuple(
+            Cell(setup.evaluation("none", task=task, cost=name) if possible else None, number)
+            for task, number in _BY_COST[name].items()
+        )
+
+    return [
+        PaperTable(
+            "methods",
+            "Methods by difficulty",
+            "method",
+            difficulties,
+            {
+                METHODS[method].label(count): methods(method, count)
+                for method, count in _METHODS
+                if method in METHODS
+            },
+        ),
+        PaperTable(
+            "subgoals",
+            "Number of subgoals, hard",
+            "subgoals",
+            ("success",),
+            {str(k): (Cell(subgoals(k), number),) for k, number in _BY_SUBGOALS.items()},
+        ),
+        grid(
+            "reduction",
+            "Cost of a sample: the maximum or the mean over its segments, hard",
+            "reduction",
+            _BY_REDUCTION,
+            str,
+        ),
+        grid("samples", "Samples of the search for actions (D), hard", "samples", _BY_SAMPLES, int),
+        grid("horizon", "Planning horizon (H), hard", "horizon", _BY_HORIZON, int),
+        PaperTable(
+            "cost",
+            "Cost without subgoals: pixels, or the latent of the VAE",
+            "cost",
+            difficulties,
+            {name: cost(name) for name in _BY_COST},
+        ),
+        _ablation(setup),
+    ]
+
+
+_STEPS_TO_PAPER: Mapping[str, Mapping[str, Any]] = {
+    "no blur": {"blur": 0.0},
+    "last frame": {"over_horizon": "last"},
+    "first actions from N(0, 1)": {"initial": "normal"},
+    "M = 200, M* = 40": {"subgoal_samples": 200, "subgoal_elites": 40},
+    "subgoals by the CVAE": {"generator": "cvae"},
+}
+"""In what the paper's settings of the maze differ from our own, one at a time."""
+
+
+def _ablation(setup: Setup) -> PaperTable:
+    """Which of our own settings do what: each taken back alone, and each added alone."""
+    ours = setup.evaluation("hvf", preset="default")
+
+    def cells(preset: str, changed: Mapping[str, Any]) -> tuple[Cell, ...]:
+        # Without subgoals it does not matter how they are searched for.
+        searches = any(name.startswith(("subgoal_", "generator")) for name in changed)
+        none: dict[str, Any] = {"method": "none", "subgoals": 0}
+        both = (None if searches else none, {"method": "hvf", "subgoals": 2})
+        return tuple(
+            Cell(setup.evaluation(**{"preset": preset, "task": "hard", **method, **changed}))
+            if method
+            else Cell(None)
+            for method in both
+        )
+
+    def reverse(changed: Mapping[str, Any]) -> dict[str, Any]:
+        """The same settings as ours has them."""
+        return {
+            name: getattr(ours.world if name == "generator" else ours.planning, name)
+            for name in changed
+        }
+
+    rows = {"default": cells("default", {})}
+    rows |= {f"default, {name}": cells("default", to) for name, to in _STEPS_TO_PAPER.items()}
+    rows["paper"] = cells("paper", {})
+    rows |= {
+        f"paper but not: {name}": cells("paper", reverse(to))
+        for name, to in _STEPS_TO_PAPER.items()
+    }
+    return PaperTable(
+        "ablation",
+        "Our own settings against the paper's, one at a time, hard",
+        "settings",
+        (METHODS["none"].label(0), METHODS["hvf"].label(2)),
+        rows,
+        extra=True,
+    )
+
+
+def _counted(subgoals: int) -> str:
+    return "no subgoals" if not subgoals else f"{subgoals} subgoal{'s' if subgoals > 1 else ''}"

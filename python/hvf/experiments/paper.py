@@ -1,0 +1,173 @@
+"""``hvf paper``: the paper's tables as lists of evaluations.
+
+A domain's experiments are a function from :class:`~hvf.experiments.cells.Setup` (preset, world,
+split) to tables of :class:`~hvf.experiments.cells.Cell`, listed in :data:`EXPERIMENTS`. A cell
+of several tables is evaluated once.
+
+Numbers of the paper (Nair & Finn, ICLR 2020) are success rates over 100 trials. A *verdict* says
+how ours compares: ``higher`` or ``lower`` if the 95% interval of the difference of the two rates
+(Newcombe's hybrid score interval for separate samples, the paper's rate as so many successes of
+100) lies on one side of 0; else ``agrees``, which means that so many trials show no difference,
+not that there is none.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from hvf.evaluation.evaluation import Evaluation
+from hvf.evaluation.report import Report
+from hvf.evaluation.statistics import difference_interval
+from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.maze import maze
+from hvf.experiments.parallel import Failure, report_of, run_all
+from hvf.experiments.tables import line, notes, rate
+
+PUBLISHED_TRIALS = 100
+"""Trials behind each number of the paper."""
+
+LEGEND = (
+    "Success with its 95% Wilson interval; behind it the paper's number, where it gives one, and "
+    "whether ours is higher or lower, or agrees: the 95% interval of the difference (Newcombe's, "
+    "for separate samples of which the paper's has 100 trials) lies above 0, below, or around it."
+)
+
+
+EXPERIMENTS: Mapping[str, Callable[[Setup], list[PaperTable]]] = {"maze": maze}
+"""Domain to its tables."""
+
+
+def tables(setup: Setup, only: Sequence[str] = ()) -> list[PaperTable]:
+    """The tables of a domain, or some of them.
+
+    Raises:
+        ValueError: a domain or table that there is not, or settings out of range.
+    """
+    if setup.domain not in EXPERIMENTS:
+        known = ", ".join(EXPERIMENTS)
+        raise ValueError(f"domain: the paper's tables are of {known}; got {setup.domain!r}")
+    found = {table.name: table for table in EXPERIMENTS[setup.domain](setup)}
+    for name in only:
+        if name not in found:
+            raise ValueError(f"only: must be of {', '.join(found)}; got {name!r}")
+    return [table for name, table in found.items() if (name in only if only else not table.extra)]
+
+
+def files(chosen: Sequence[PaperTable], folder: Path) -> dict[Evaluation, Path]:
+    """The evaluations of tables, each once, and their files.
+
+    Raises:
+        ValueError: two that are not equal but would share a file.
+    """
+    found = {
+        evaluation: folder / f"{evaluation.slug}.json"
+        for table in chosen
+        for evaluation in table.evaluations
+    }
+    for file, count in Counter(found.values()).items():
+        if count > 1:
+            raise ValueError(f"{file}: is the file of {count} evaluations that are not equal")
+    return found
+
+
+def paper(
+    setup: Setup,
+    folder: Path,
+    *,
+    only: Sequence[str] = (),
+    trials: int = 100,
+    workers: int = 0,
+    chunk: int = 0,
+    run: bool = True,
+    console: Console | None = None,
+) -> tuple[str, list[Failure]]:
+    """Run what is missing of the tables, and give them as Markdown, with what failed.
+
+    Args:
+        setup: what all evaluations share.
+        folder: where their JSON files are.
+        only: names of tables; all if empty.
+        trials: episodes of each evaluation.
+        workers: evaluations at a time, 0 for as many as there are cores.
+        chunk: trials that run together, and that a stop loses; 0 for what suits the domain.
+        run: whether to run anything, or only to show what is there.
+        console: where progress goes.
+
+    Raises:
+        ValueError, TypeError, FileExistsError, KeyboardInterrupt: as
+            :func:`~hvf.experiments.parallel.run_all` and :func:`tables`.
+    """
+    chosen = tables(setup, only)
+    where = files(chosen, folder)
+    failures: list[Failure] = []
+    if run:
+        failures = run_all(where, trials, workers=workers, chunk=chunk, console=console)
+    found = {evaluation: report_of(evaluation, file) for evaluation, file in where.items()}
+    reports = {
+        evaluation: report
+        for evaluation, report in found.items()
+        if report is not None and report.trials
+    }
+    options = setup.options
+    options += f" --trials {trials}" if trials != 100 else ""
+    options += f" --out {folder}" if folder != Path("results", setup.domain) else ""
+    return markdown(chosen, reports, f"{setup.domain} {options}"), failures
+
+
+def markdown(
+    chosen: Sequence[PaperTable], reports: Mapping[Evaluation, Report], options: str
+) -> str:
+    """Tables with our numbers, the paper's, and verdicts; blank where there is no report.
+
+    Args:
+        chosen: tables.
+        reports: what there is.
+        options: those of ``hvf paper`` that make them.
+    """
+    lines = []
+    for table in chosen:
+        lines += [
+            f"**{table.title}**",
+            "",
+            line([table.corner, *table.columns]),
+            f"|---|{'---:|' * len(table.columns)}",
+            *(
+                line([name, *(_words(cell, reports) for cell in cells)])
+                for name, cells in table.rows.items()
+            ),
+            "",
+            f"`hvf paper {options} --only {table.name}`",
+            "",
+        ]
+    return "\n".join([*lines, LEGEND, *(notes(reports.values()) if reports else [])])
+
+
+def verdict(successes: int, trials: int, published: float) -> str:
+    """``"higher"``, ``"lower"`` or ``"agrees"``: a rate and one of the paper's; see the module.
+
+    Args:
+        successes: ours.
+        trials: of so many.
+        published: the paper's rate.
+
+    Raises:
+        ValueError: no trials, or rates out of range.
+    """
+    other = round(published * PUBLISHED_TRIALS)
+    low, high = difference_interval(successes, trials, other, PUBLISHED_TRIALS)
+    return "higher" if low > 0 else "lower" if high < 0 else "agrees"
+
+
+def _words(cell: Cell, reports: Mapping[Evaluation, Report]) -> str:
+    report = reports.get(cell.evaluation) if cell.evaluation else None
+    ours = "" if report is None else rate(report)
+    if cell.published is None:
+        return ours
+    paper = f"paper {cell.published:.0%}"
+    if report is None:
+        return f"({paper})"
+    return f"{ours} ({paper}: {verdict(report.successes, len(report.trials), cell.published)})"

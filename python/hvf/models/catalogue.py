@@ -1,0 +1,96 @@
+"""The models of this package, as :data:`hvf.registry.MODELS` lists them.
+
+Importing this imports no torch. Object models are fast on a CPU because they know what one scene
+is made of; what each takes for granted is its ``assumes``.
+"""
+
+from __future__ import annotations
+
+from hvf.models.entry import ModelEntry
+
+KEYPOINT = ModelEntry(
+    about="Dynamics of one moving thing before a still scene (the maze).",
+    kind="object",
+    role="dynamics",
+    module="hvf.models.keypoint.dynamics:KeypointDynamics",
+    plannable="hvf.worlds.keypoint:world_of",
+    recipe="hvf.training.recipes.keypoint:KeypointRecipe",
+    assumes=(
+        "exactly one thing moves: an upright box of one colour that never turns, scales or hides; "
+        "the camera, the light and all else stand still; a move depends on a grey patch of 14 "
+        "pixels around it alone"
+    ),
+)
+
+KEYPOINT_GENERATOR = ModelEntry(
+    about="Generator of subgoals that draws where the keypoint dynamics' moving thing may be.",
+    kind="object",
+    role="generator",
+    module="hvf.models.keypoint.generator:KeypointGenerator",
+    plannable="hvf.worlds.keypoint:subgoals_of",
+    recipe="hvf.training.recipes.keypoint_generator:KeypointGeneratorRecipe",
+    assumes="what the keypoint dynamics assumes, which it draws with",
+)
+
+TEMPORAL_DISTANCE = ModelEntry(
+    about="Classifier of the steps between two frames, a planning cost for the keypoint dynamics.",
+    kind="object",
+    role="distance",
+    module="hvf.models.temporal_distance:TemporalDistance",
+    plannable="hvf.worlds.costs:temporal_of",
+    recipe="hvf.training.recipes.temporal_distance:TemporalDistanceRecipe",
+    assumes=(
+        "what the keypoint dynamics assumes, whose keypoints it compares; "
+        "random play takes as long one way as the other"
+    ),
+)
+
+LAYERS = ModelEntry(
+    about="Dynamics of an arm, coloured parts and sliders before a still camera (the desk).",
+    kind="object",
+    role="dynamics",
+    module="hvf.models.layers.dynamics:LayerDynamics",
+    plannable="hvf.worlds.layers:world_of",
+    recipe="hvf.training.recipes.layers:LayersRecipe",
+    assumes=(
+        "a still camera and light; exactly 3 parts that roam and 2 that slide, each of a "
+        "saturated colour of its own; an action of 3 numbers that displaces a hand, whose place "
+        "alone says what the arm looks like; parts that move only near the hand, never turn, and "
+        "are never before the arm"
+    ),
+    formerly=("DeskDynamics",),
+)
+
+LAYERS_GENERATOR = ModelEntry(
+    about="Generator of subgoals that draws what the layers dynamics' scene may look like later.",
+    kind="object",
+    role="generator",
+    module="hvf.models.layers.generator:LayerGenerator",
+    plannable="hvf.worlds.layers_subgoals:subgoals_of",
+    recipe="hvf.training.recipes.layers_generator:LayersGeneratorRecipe",
+    assumes=(
+        "what the layers dynamics assumes, which it draws with; a subgoal is 5 to 30 steps of "
+        "play after the scene, and the next one after that"
+    ),
+    formerly=("DeskGenerator",),
+)
+
+CVAE = ModelEntry(
+    about="The paper's generator of subgoal images: a CVAE given an image of the scene (the maze).",
+    kind="video",
+    role="generator",
+    module="hvf.models.vae:CVAE",
+    plannable="hvf.worlds.images:subgoals_of",
+    recipe="hvf.training.recipes.vae:CVAERecipe",
+    assumes="nothing of a scene but the size of its images; episodes of one scene each",
+)
+
+VAE = ModelEntry(
+    about="The paper's generator of subgoal images without a scene: a VAE (the desk).",
+    kind="video",
+    role="generator",
+    module="hvf.models.vae:VAE",
+    plannable="hvf.worlds.images:subgoals_of",
+    recipe="hvf.training.recipes.vae:VAERecipe",
+    assumes="nothing of a scene but the size of its images; all data is of one scene",
+)

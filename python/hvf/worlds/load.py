@@ -1,0 +1,157 @@
+"""From names and checkpoints to what the planner plans with.
+
+A checkpoint's header says which model it holds; the registry says what that is good for and what
+makes a world of it. Torch is imported only where a learned model takes part.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hvf.protocols import SubgoalModel, WorldModel
+from hvf.registry import COSTS, MODELS
+from hvf.settings import Planning, World
+
+if TYPE_CHECKING:
+    from hvf.domains.domain import Domain, Place
+
+_ROLES = {"dynamics": "dynamics", "generator": "generator", "cost": "distance"}
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Learned weights that take part.
+
+    Attributes:
+        path: the checkpoint.
+        model: what it holds, by its name in the registry.
+        kind: "video" or "object".
+    """
+
+    path: Path
+    model: str
+    kind: str
+
+    @property
+    def sha256(self) -> str:
+        """Checksum of the file."""
+        return hashlib.sha256(self.path.read_bytes()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What is planned with.
+
+    Attributes:
+        world: predicts and scores.
+        generator: draws subgoals; None where none is asked for.
+        weights: the checkpoints in it, by their part: "dynamics", "generator", "cost".
+        kind: "video" if all models in it are, "object" if one is, "simulator" without any.
+    """
+
+    world: WorldModel[Any]
+    generator: SubgoalModel[Any] | None
+    weights: dict[str, Weights] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """What results may be compared with."""
+        kinds = {weights.kind for weights in self.weights.values()}
+        return "object" if "object" in kinds else "video" if kinds else "simulator"
+
+
+def load(
+    domain: Domain,
+    world: World,
+    planning: Planning,
+    place: Place,
+    *,
+    generator: bool = True,
+) -> Loaded:
+    """Load what is planned with.
+
+    Args:
+        domain: whose names count.
+        world: the names.
+        planning: settings of the cost: blur, and which predicted frames count.
+        place: the open domain, for what is not learned.
+        generator: whether subgoals are drawn.
+
+    Raises:
+        FileNotFoundError: a checkpoint that is not there; says how to make it.
+        ValueError: a name that there is not, or a checkpoint of another model.
+    """
+    world = domain.resolved(world)
+    weights: dict[str, Weights] = {}
+    models: dict[str, Any] = {}
+
+    def module(part: str, name: str) -> Any:
+        path = checkpoint(domain, part, name)
+        if part not in models:
+            weights[part], models[part] = _read(part, path)
+        return models[part]
+
+    if world.dynamics == "simulator":
+        dynamics = place.simulator(planning)
+    else:
+        model = module("dynamics", world.dynamics)
+        dynamics = _plannable(weights["dynamics"])(model, planning)
+    cost = COSTS[world.cost]
+    planned: WorldModel[Any] = dynamics
+    if cost.world is not None:
+        asked = world.cost_model or cost.model
+        model = module("cost", asked) if asked else None
+        planned = cost.world(dynamics, model, planning)
+    drawn: SubgoalModel[Any] | None = None
+    if generator and world.generator == "oracle":
+        drawn = place.oracle()
+    elif generator:
+        model = module("generator", world.generator)
+        drawn = _plannable(weights["generator"])(model, dynamics)
+    return Loaded(planned, drawn, weights)
+
+
+def checkpoint(domain: Domain, part: str, name: str) -> Path:
+    """The checkpoint that a name stands for in a domain: one that ships, or a file.
+
+    Raises:
+        FileNotFoundError: neither; says what there is and how to make one.
+    """
+    if name in domain.weights:
+        path = domain.weights[name]
+        if path.is_file():
+            return path
+        raise FileNotFoundError(f"{path}: no such {part}; `hvf train {name} --data FILE` makes it")
+    path = Path(name)
+    if path.is_file():
+        return path
+    if name == "default":
+        raise FileNotFoundError(
+            f"{part}: name one for this world; none goes with it in {domain.name}"
+        )
+    ships = ", ".join(domain.weights) or "none"
+    made = f"; `hvf train {name} --data FILE` makes one" if name in MODELS else ""
+    raise FileNotFoundError(
+        f"{part}: {name!r} is neither a file nor one of the models that ship for "
+        f"{domain.name} ({ships}){made}"
+    )
+
+
+def _read(part: str, path: Path) -> tuple[Weights, Any]:
+    from hvf.models.checkpoint import load_any
+
+    found = load_any(path)
+    roles = (_ROLES[part], "generator") if part == "cost" else (_ROLES[part],)
+    if found.entry.role not in roles:
+        raise ValueError(
+            f"{part}: {path} holds a {found.name} model, which is good for "
+            f"{found.entry.role}, not for this"
+        )
+    return Weights(path, found.name, found.entry.kind), found.module
+
+
+def _plannable(weights: Weights) -> Any:
+    return MODELS[weights.model].resolved("plannable")

@@ -1,0 +1,394 @@
+"""The paper's tables as lists of evaluations, and running them side by side."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from hvf.cli import main
+from hvf.evaluation.evaluation import Evaluation
+from hvf.evaluation.report import Report, TrialRecord, load, save
+from hvf.evaluation.run import evaluate
+from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.paper import (
+    EXPERIMENTS,
+    files,
+    paper,
+    tables,
+    verdict,
+)
+from hvf.experiments.parallel import finished, report_of, run_all
+from hvf.registry import METHODS
+
+PAPER = Setup("maze")
+
+
+def stub(evaluation: Evaluation, successes: int, trials: int) -> Report:
+    """A report as if the first trials succeeded."""
+    method = METHODS[evaluation.method]
+    world = evaluation.place.resolved(evaluation.world)
+    names = {"dynamics": world.dynamics, "cost": world.cost} if method.needs_dynamics else {}
+    if method.needs_generator:
+        names["generator"] = world.generator
+    head = {
+        "domain": evaluation.domain,
+        "task": evaluation.task,
+        "method": evaluation.method,
+        "subgoals": evaluation.subgoals if method.has_subgoals else 0,
+        "preset": evaluation.preset,
+        "split": evaluation.split,
+        "seed": evaluation.episode_seed,
+        "world": names,
+        "kind": "object",
+        "planning": vars(evaluation.planning),
+        "weights": {},
+    }
+    records = [TrialRecord(i, i < successes, 9, (), 0.0, 0.0) for i in range(trials)]
+    return Report.of(evaluation.name, head, records, 1.0, {"commit": "c0ffee", "changes": None})
+
+
+def test_every_maze_table_of_the_paper_is_there() -> None:
+    found = {table.name: table for table in tables(PAPER)}
+    assert set(found) == {"methods", "subgoals", "reduction", "samples", "horizon", "cost"}
+    # Numbers as in the paper's tables, read column by column.
+    published = {
+        name: [[cell.published for cell in row] for row in table.rows.values()]
+        for name, table in found.items()
+    }
+    assert published["subgoals"] == [[0.33], [0.47], [0.54], [0.39], [0.02], [0.0]]
+    assert published["reduction"] == [[0.47, 0.54], [0.45, 0.53]]
+    assert published["samples"] == [[0.33, 0.47, 0.54], [0.35, 0.54, 0.55]]
+    assert published["horizon"] == [[0.33, 0.47, 0.54], [0.46, 0.55, 0.37], [0.31, 0.39, 0.24]]
+    assert published["cost"] == [[0.93, 0.68, 0.33], [0.62, 0.49, 0.23]]
+    assert published["methods"][0] == [0.93, 0.68, 0.33]
+    assert [row[2] for row in published["methods"][1:3]] == [0.47, 0.54]
+
+
+def test_numbers_shared_with_the_domain_are_the_same() -> None:
+    for table in tables(PAPER):
+        for cell in [cell for row in table.rows.values() for cell in row]:
+            evaluation = cell.evaluation
+            assert evaluation is not None
+            if table.name == "methods":
+                known = evaluation.place.published.get((evaluation.method, evaluation.subgoals), {})
+                assert known.get(evaluation.task) == cell.published
+
+
+@pytest.mark.parametrize("preset", ["paper", "released", "default"])
+def test_cells_of_several_tables_are_evaluated_once(preset: str) -> None:
+    setup = Setup("maze", preset)
+    chosen = tables(setup)
+    where = files(chosen, Path("out"))
+    cells = [cell.evaluation for table in chosen for row in table.rows.values() for cell in row]
+    assert len(cells) > len(where)
+    # 3 difficulties of 6 methods or more; 3 numbers of subgoals, 2 means, 3 samples, 6 horizons
+    # and 3 latent costs that these do not have.
+    new = 3 + 2 + 3 + 6 + 3
+    assert len(where) == len(chosen[0].evaluations) + new
+    assert len(set(where.values())) == len(where)
+    assert all(evaluation.split == "test" for evaluation in where)
+    assert all(evaluation.preset == preset for evaluation in where)
+
+
+def test_a_cell_differs_from_its_preset_in_what_its_table_says_only() -> None:
+    found = {table.name: table for table in tables(PAPER)}
+    base = Evaluation.of("maze", "paper", subgoals=2, split="test")
+    cells = {
+        ("samples", "1000"): {"samples": 1000},
+        ("horizon", "15"): {"horizon": 15},
+        ("reduction", "mean"): {"reduction": "mean"},
+    }
+    for (name, row), changed in cells.items():
+        cell = found[name].rows[row][-1]
+        expected = Evaluation.of("maze", "paper", subgoals=2, split="test", **changed)
+        assert cell.evaluation == expected
+        assert cell.evaluation != base
+    assert found["subgoals"].rows["2"][0].evaluation == base
+    latent = found["cost"].rows["latent"][0].evaluation
+    assert latent == Evaluation.of(
+        "maze", "paper", method="none", subgoals=0, task="easy", split="test", cost="latent"
+    )
+
+
+def test_the_ablation_goes_from_our_settings_to_the_papers_one_at_a_time() -> None:
+    assert "ablation" not in {table.name for table in tables(PAPER)}
+    (table,) = tables(Setup("maze", split="validation"), ["ablation"])
+    ours = Evaluation.of("maze", "default", subgoals=2)
+    published = Evaluation.of("maze", "paper", subgoals=2)
+    searched = {name: cells[1].evaluation for name, cells in table.rows.items()}
+    assert (searched.pop("default"), searched.pop("paper")) == (ours, published)
+
+    def settings(evaluation: Evaluation | None) -> dict[str, object]:
+        assert evaluation is not None
+        world = evaluation.place.resolved(evaluation.world)
+        return {**vars(evaluation.planning), "generator": world.generator}
+
+    def differences(one: Evaluation | None, other: Evaluation) -> dict[str, object]:
+        return {k: v for k, v in settings(one).items() if v != settings(other)[k]}
+
+    one_by_one = {"default": {}, "paper": {}}
+    for name, evaluation in searched.items():
+        start = name.split(",")[0].split(" ")[0]
+        one_by_one[start] |= differences(evaluation, {"default": ours, "paper": published}[start])
+    # Together they are all that there is between the two.
+    assert one_by_one["default"] == differences(published, ours)
+    assert one_by_one["paper"] == differences(ours, published)
+    # What only a search of subgoals has is not run without one.
+    assert [cells[0].evaluation is None for cells in table.rows.values()].count(True) == 4
+    files([table, *tables(PAPER)], Path())
+
+
+def test_evaluations_that_would_share_a_file_are_refused() -> None:
+    same = [
+        Evaluation.of("maze", "paper", method="none", subgoals=0, generator=generator)
+        for generator in ("cvae", "keypoint-generator")
+    ]
+    rows = {"a": tuple(map(Cell, same))}
+    with pytest.raises(ValueError, match="file of 2 evaluations"):
+        files([PaperTable("x", "X", "x", ("one", "two"), rows)], Path())
+
+
+def test_the_world_can_be_another() -> None:
+    chosen = tables(Setup("maze", "default", "simulator", "oracle", "validation"))
+    for evaluation in files(chosen, Path()):
+        assert evaluation.world.dynamics == "simulator"
+        assert evaluation.world.generator == "oracle"
+        assert evaluation.split == "validation"
+    # A simulator has no latents.
+    cost = next(table for table in chosen if table.name == "cost")
+    assert [cell.evaluation for cell in cost.rows["latent"]] == [None] * 3
+
+
+def test_tables_are_chosen_by_name() -> None:
+    assert [table.name for table in tables(PAPER, ["horizon", "subgoals"])] == [
+        "subgoals",
+        "horizon",
+    ]
+    with pytest.raises(ValueError, match=r"only: must be of methods, .*; got 'table2'"):
+        tables(PAPER, ["subgoals", "table2"])
+    with pytest.raises(ValueError, match=r"domain: .* maze; got 'moon'"):
+        tables(Setup("moon"))
+    with pytest.raises(ValueError, match="preset"):
+        tables(Setup("maze", "moon"))
+
+
+def test_a_row_must_fill_its_columns() -> None:
+    with pytest.raises(ValueError, match="rows: a must have 2 cells"):
+        PaperTable("x", "X", "x", ("one", "two"), {"a": (Cell(None),)})
+
+
+def test_verdicts_follow_the_interval_of_the_difference() -> None:
+    # 33 of 100 in the paper: Newcombe's interval leaves 0 out from 47 up and from 20 down.
+    words = [verdict(successes, 100, 0.33) for successes in range(101)]
+    assert words == ["lower"] * 21 + ["agrees"] * 26 + ["higher"] * 54
+    # Few trials show little; none in the paper and none here is the same.
+    assert verdict(2, 4, 0.33) == "agrees"
+    assert verdict(0, 100, 0.0) == "agrees"
+    with pytest.raises(ValueError, match="successes"):
+        verdict(0, 0, 0.5)
+
+
+def test_tables_show_ours_beside_the_papers_and_leave_blank_what_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    where = files(tables(PAPER, ["subgoals", "cost"]), tmp_path)
+    for evaluation, file in where.items():
+        if evaluation.method == "none" and evaluation.world.cost == "pixel":
+            save(stub(evaluation, 60, 100), file)
+        elif evaluation.subgoals == 3:
+            save(stub(evaluation, 4, 10), file)
+    words = ["paper", "maze", "--only", "subgoals", "cost", "--out", str(tmp_path), "--no-run"]
+    assert main(words) == 0
+    output = capsys.readouterr().out
+    lines = output.splitlines()
+    assert "| 0 | 60% [50, 69] (paper 33%: higher) |" in lines
+    assert "| 1 | (paper 47%) |" in lines
+    assert "| 3 | 40% [17, 69] (n = 10) (paper 39%: agrees) |" in lines
+    pixel = "| pixel | 60% [50, 69] (paper 93%: lower) | 60% [50, 69] (paper 68%: agrees) |"
+    assert any(line.startswith(pixel) for line in lines)
+    assert "| latent | (paper 62%) | (paper 49%) | (paper 23%) |" in lines
+    assert f"`hvf paper maze --preset paper --out {tmp_path} --only subgoals`" in lines
+    assert "Code: c0ffee." in lines
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_a_file_of_something_else_is_not_taken_for_a_cell(tmp_path: Path) -> None:
+    evaluation = Evaluation.of("maze", "paper", method="none", subgoals=0, split="test")
+    file = tmp_path / "cell.json"
+    assert report_of(evaluation, file) is None
+    others = [
+        Evaluation.of("maze", "paper", method="none", subgoals=0),
+        Evaluation.of("maze", "paper", method="none", subgoals=0, split="test", horizon=6),
+        Evaluation.of("maze", "paper", method="none", subgoals=0, split="test", task="easy"),
+        Evaluation.of("maze", "paper", method="none", split="test", dynamics="simulator"),
+        Evaluation.of("maze", "paper", method="ground-truth", split="test"),
+    ]
+    for other in others:
+        save(stub(other, 1, 2), file)
+        with pytest.raises(FileExistsError, match=r"cell\.json: holds another evaluation"):
+            report_of(evaluation, file)
+    file.write_text("{}")
+    with pytest.raises(FileExistsError, match=r"cell\.json: is in the way"):
+        report_of(evaluation, file)
+    save(stub(evaluation, 1, 2), file)
+    assert finished(evaluation, file, 2)
+    assert not finished(evaluation, file, 3)
+
+
+RANDOM = [
+    Evaluation.of("maze", method="random", subgoals=0, task=task, split="validation")
+    for task in ("easy", "medium", "hard")
+]
+
+
+def outcomes(report: Report) -> list[tuple[int, bool, int]]:
+    return [(trial.index, trial.success, trial.steps) for trial in report.trials]
+
+
+def test_evaluations_side_by_side_end_as_one_by_one(tmp_path: Path) -> None:
+    where = {evaluation: tmp_path / f"{evaluation.slug}.json" for evaluation in RANDOM}
+    # One is there, one was begun: that one goes on, and no finished one is touched.
+    evaluate(RANDOM[0], 6, where[RANDOM[0]])
+    evaluate(RANDOM[1], 2, where[RANDOM[1]])
+    before = where[RANDOM[0]].read_bytes()
+    assert run_all(where, 6, workers=2) == []
+    assert where[RANDOM[0]].read_bytes() == before
+    for evaluation, file in where.items():
+        assert outcomes(load(file)) == outcomes(evaluate(evaluation, 6))
+    assert run_all(where, 6) == []
+
+
+def test_a_failed_evaluation_does_not_stop_the_others(tmp_path: Path) -> None:
+    missing = Evaluation.of("maze", method="none", subgoals=0, dynamics=str(tmp_path / "no.model"))
+    where = {missing: tmp_path / "missing.json", RANDOM[0]: tmp_path / "random.json"}
+    (failure,) = run_all(where, 2, workers=1)
+    assert failure.evaluation == missing
+    assert "no.model" in failure.message
+    assert finished(RANDOM[0], where[RANDOM[0]], 2)
+
+
+def test_the_command_prints_tables_although_a_cell_failed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = Evaluation.of("maze", method="none", subgoals=0, dynamics=str(tmp_path / "no.model"))
+
+    def toy(setup: Setup) -> list[PaperTable]:
+        rows = {"bad": (Cell(missing, 0.5),), "good": (Cell(RANDOM[0], 0.5),)}
+        return [PaperTable("toy", "Toy", "which", ("success",), rows)]
+
+    monkeypatch.setattr("hvf.experiments.paper.EXPERIMENTS", {**EXPERIMENTS, "maze": toy})
+    assert main(["paper", "maze", "--trials", "2", "--out", str(tmp_path / "out")]) == 1
+    output = capsys.readouterr()
+    assert "| bad | (paper 50%) |" in output.out
+    assert "(n = 2) (paper 50%: agrees) |" in output.out
+    assert "no.model" in output.err
+
+
+@pytest.mark.parametrize(("name", "value"), [("trials", 0), ("workers", -1), ("chunk", -1)])
+def test_refuses_numbers_out_of_range(tmp_path: Path, name: str, value: int) -> None:
+    with pytest.raises(ValueError, match=name):
+        run_all({RANDOM[0]: tmp_path / "x.json"}, **{"trials": 1, name: value})  # type: ignore[arg-type]
+
+
+SLOW = """
+import sys
+from pathlib import Path
+from hvf.evaluation.evaluation import Evaluation
+from hvf.experiments.parallel import run_all
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    where = {
+        Evaluation.of("maze", "paper", method="none", subgoals=0, task=task, dynamics="simulator",
+                      samples=20000): folder / f"{task}.json"
+        for task in ("medium", "hard")
+    }
+    try:
+        run_all(where, 500, workers=2, chunk=1)
+    except KeyboardInterrupt:
+        sys.exit(130)
+"""
+
+
+def children_of(pid: int) -> set[int]:
+    """Processes that a process has started, and these in turn."""
+    found = set()
+    for task in Path("/proc", str(pid), "task").glob("*/children"):
+        for child in map(int, task.read_text().split()):
+            found |= {child} | children_of(child)
+    return found
+
+
+def is_there(pid: int) -> bool:
+    """Whether a process is alive, and not only waited for."""
+    try:
+        return Path("/proc", str(pid), "stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(
+    not list(Path("/proc/self/task").glob("*/children")), reason="finds processes in /proc"
+)
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_stop_ends_all_processes_and_loses_no_finished_trial(
+    tmp_path: Path, how: signal.Signals
+) -> None:
+    program = tmp_path / "slow.py"
+    program.write_text(SLOW)
+    out = tmp_path / "out"
+    out.mkdir()
+    parent = subprocess.Popen(
+        [sys.executable, str(program), str(out)],
+        stderr=subprocess.DEVNULL,
+        # As under a shell that runs it in the background: Ctrl-C is ignored by inheritance.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+        env=dict(os.environ),
+    )
+    try:
+        deadline = time.monotonic() + 120
+        while len(list(out.glob("*.json"))) < 2:
+            assert parent.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        children = children_of(parent.pid)
+        assert len(children) >= 2
+        begin = time.monotonic()
+        parent.send_signal(how)
+        status = parent.wait(timeout=30)
+        assert time.monotonic() - begin < 15
+        assert status == (-signal.SIGKILL if how == signal.SIGKILL else 130)
+        while any(map(is_there, children)):
+            assert time.monotonic() - begin < 30
+            time.sleep(0.05)
+    finally:
+        parent.kill()
+        parent.wait()
+    for file in out.glob("*.json"):
+        trials = load(file).trials
+        assert [trial.index for trial in trials] == list(range(len(trials)))
+        assert json.loads(file.read_text())["domain"] == "maze"
+
+
+def test_the_tables_of_a_paper_run_from_nothing_and_go_on(tmp_path: Path) -> None:
+    def toy(setup: Setup) -> list[PaperTable]:
+        rows = {"random": tuple(Cell(evaluation) for evaluation in RANDOM)}
+        return [PaperTable("toy", "Toy", "method", ("easy", "medium", "hard"), rows)]
+
+    setup = Setup("maze", split="validation")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hvf.experiments.paper.EXPERIMENTS", {"maze": toy})
+        empty, _ = paper(setup, tmp_path, run=False)
+        first, failures = paper(setup, tmp_path, trials=3, workers=2)
+        again, _ = paper(setup, tmp_path, run=False)
+    assert failures == []
+    assert "| random |  |  |  |" in empty
+    assert first.replace(" --trials 3", "") == again
+    assert first.count("(n = 3)") == 3
