@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from hypothesis import strategies as st
 from rich.progress import Progress
 
 import hvf_core
+import processes
 from hvf.agents.planning import NoSubgoals, PlanningAgent
 from hvf.cli import main
 from hvf.cli.plan import how_it_went, watch
@@ -463,4 +462,4 @@ def test_a_command_without_learned_models_does_not_import_torch() -> None:
         "import sys; from hvf.cli import main; import hvf.cli.evaluate, hvf.cli.plan, hvf.cli.demo;"
         "sys.exit('torch' in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-c", program]).returncode == 0
+    assert processes.run(processes.python(program)).returncode == 0

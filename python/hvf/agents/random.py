@@ -30,7 +30,8 @@ class RandomAgent:
 
     def choose(self, trial: int, seed: int) -> Frames:
         """Choose no subgoals."""
-        return self._goals[trial][None][:0]
+        none: Frames = self._goals[trial][None][:0]
+        return none
 
     def act(
         self, which: Indices, observations: Images, aims: Indices, seeds: Sequence[int]

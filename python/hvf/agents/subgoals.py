@@ -14,7 +14,8 @@ from hvf_core import HVF
 
 def no_subgoals(trials: Trials, trial: int, seed: int) -> Frames:
     """No subgoals: straight to the goal image (Finn & Levine, 2017)."""
-    return trials.goals[trial][None][:0]
+    none: Frames = trials.goals[trial][None][:0]
+    return none
 
 
 def ground_truth(count: int) -> SubgoalSource:

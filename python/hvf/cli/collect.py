@@ -1,17 +1,22 @@
-"""``hvf collect maze``: data from random interaction."""
+"""``hvf collect DOMAIN``: data from random interaction."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
 
-import tyro
+from hvf.cli.arguments import domain_named, parsed
+from hvf.registry import imported
 
-from hvf.data.collect import CollectConfig, collect_maze
 
+def run(words: Sequence[str]) -> None:
+    """Collect episodes under random actions into one file; a stopped collection is gone on with.
 
-def maze(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
-    """Collect episodes of the maze under uniformly random actions into one HDF5 file.
-
-    Ctrl-C stops; the same command goes on from there.
+    Raises:
+        ValueError: a domain in which nothing can be collected.
     """
-    collect_maze(config)
+    domain, rest = domain_named("collect", words)
+    kind = domain.collection
+    if kind is None:
+        raise ValueError(f"domain: nothing can be collected in {domain.name}")
+    config = imported(kind) if isinstance(kind, str) else kind
+    parsed(config, f"collect {domain.name}", rest).run()

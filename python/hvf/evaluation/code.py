@@ -17,21 +17,24 @@ from pathlib import Path
 from typing import Any
 
 _PACKAGE = Path(__file__).resolve().parent.parent
+_SOURCE = ("python", "crates", "Cargo.toml", "Cargo.lock")
 _PROGRAMS = ("numpy", "torch", "gymnasium", "mujoco")
 
 
 def code_of() -> dict[str, Any]:
-    """Version, commit, uncommitted changes, and programs.
+    """Version, commit, source, uncommitted changes, and programs.
 
     Returns:
-        ``version`` of this package; ``commit`` of its repository, None outside of one; ``changes``,
-        a checksum of what is not committed (inside the repository) or of the package's files
-        (outside), None where nothing is; ``packages``, ``python``, ``machine``.
+        ``version`` of this package; ``commit`` of its repository, None outside of one; ``source``,
+        a checksum of the package's files (as committed, inside the repository); ``changes``, a
+        checksum of what is not committed, None where nothing is; ``packages``, ``python``,
+        ``machine``.
     """
-    commit, changes = _repository()
+    commit, source, changes = _repository()
     return {
         "version": _version("hvf"),
         "commit": commit,
+        "source": source,
         "changes": changes,
         "packages": {name: _version(name) for name in _PROGRAMS},
         "python": platform.python_version(),
@@ -40,30 +43,35 @@ def code_of() -> dict[str, Any]:
 
 
 def same_code(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
-    """Whether two records are of the same code and programs."""
-    keys = ("version", "commit", "changes", "packages")
+    """Whether two records are of the same code and programs.
+
+    A commit that changes nothing but documentation or results is the same code.
+    """
+    keys = ("version", "source", "changes", "packages")
     return all(a.get(key) == b.get(key) for key in keys)
 
 
 @functools.cache
-def _repository() -> tuple[str | None, str | None]:
-    """Commit and checksum of changes of the repository that holds this package."""
+def _repository() -> tuple[str | None, str, str | None]:
+    """Commit, checksum of the source, and that of changes, of the repository of this package."""
     try:
         top = Path(_git(_PACKAGE, "rev-parse", "--show-toplevel").strip())
         if not _is_ours(top):
             raise OSError("another project's repository")
         commit = _git(top, "rev-parse", "HEAD").strip()
-        changed = _git(top, "diff", "HEAD", "--", "python", "crates", "Cargo.toml", "Cargo.lock")
-        new = _git(top, "ls-files", "--others", "--exclude-standard", "--", "python", "crates")
+        trees = _git(top, "rev-parse", *(f"HEAD:{path}" for path in _SOURCE))
+        changed = _git(top, "diff", "HEAD", "--", *_SOURCE)
+        new = _git(top, "ls-files", "--others", "--exclude-standard", "--", *_SOURCE)
     except (OSError, subprocess.SubprocessError):
-        return None, _checksum(sorted(_PACKAGE.rglob("*.py")))
+        return None, _checksum(sorted(_PACKAGE.rglob("*.py"))), None
+    source = hashlib.sha256(trees.encode()).hexdigest()[:16]
     if not changed and not new.strip():
-        return commit, None
+        return commit, source, None
     digest = hashlib.sha256(changed.encode())
     for name in new.split("\n"):
         if name and (top / name).is_file():
             digest.update(name.encode() + (top / name).read_bytes())
-    return commit, digest.hexdigest()[:16]
+    return commit, source, digest.hexdigest()[:16]
 
 
 def _is_ours(top: Path) -> bool:

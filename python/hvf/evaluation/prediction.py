@@ -1,232 +1,181 @@
-"""What the learned dynamics of the desk predicts: frames, and what a probe reads in them.
+"""What a model of any kind predicts, against what happened: images, and positions in them.
 
-`N` windows, `H` steps, `O` observables.
+A window of an episode is a start (one frame, or as many as the model wants), the actions that were
+done, and the frames and states that they led to. A predicted frame is compared with the true one as
+an image (PSNR, SSIM, ST-LPIPS), and by what a probe (:mod:`hvf.models.probe`) reads in it, beside
+the same of the last frame seen, copied: what "nothing moves" predicts.
+
+Letters in shapes: `N` windows, `C` frames that the model starts from, `H` steps, `S` image size,
+`A` action dimensions, `O` observables.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 from collections import defaultdict
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from hvf.data.formats.hdf5 import EpisodeFile
 from hvf.evaluation.image_quality import Measure, perceptual_distance, psnr, ssim
-from hvf.files import write_bytes
-from hvf.images import frame_grid, write_png
-from hvf.models.checkpoint import load_model
-from hvf.models.layers.dynamics import LayerDynamics
-from hvf.models.probe import PositionProbe, PositionProbeConfig
-from hvf.training.loop import LoopConfig, Validation, seeded, train
-from hvf.worlds.layers import LayerWorld
+from hvf.models.probe import PositionProbe
+from hvf.protocols import Images, Observer, Remembering
+from hvf.registry import DOMAINS
 
-HORIZON = 15
-STEPS_AHEAD = (1, 5, 15)
+MOVED = 10.0
+"""Millimetres by which something has to move to count as moved."""
 _AT_ONCE = 16
-_SHOWN = 12
-# Millimetres by which something has to move to count as moved.
-_MOVED = 10.0
-# Held-out frames that validate the probe.
-_CHECKED = 2000
+# Pixels that an image has to have on each side for ST-LPIPS.
+_ROOM = 32
+_AXES = ("x", "y", "z")
 
-# What is reported, and which of the observables it is.
-THINGS: Mapping[str, slice] = {
-    "end effector": slice(0, 3),
-    "door": slice(3, 4),
-    "drawer": slice(4, 5),
-    "red block": slice(8, 11),
-    "green block": slice(11, 14),
-    "blue block": slice(14, 17),
-}
+Things = Mapping[str, Sequence[int]]
+"""What is reported: names of things, and which of the observables are their coordinates."""
 
 
 @dataclass(frozen=True)
-class DeskModelProbe:
-    """Measure what the learned dynamics of the desk predicts on held-out episodes.
+class Windows:
+    """Windows of episodes.
 
     Attributes:
-        data: file of episodes (``hvf collect desk``); its last twentieth is held out.
-        dynamics: checkpoint of the dynamics.
-        out: directory for the trained probe, the figures and pictures.
-        probe_episodes: training episodes that the probe learns from.
-        windows: windows of 15 steps in each held-out episode.
-        loop: how to optimise the probe.
+        past: frames up to now, uint8 `[N, C, S, S, 3]`.
+        past_actions: actions between them, float32 `[N, C - 1, A]`.
+        actions: what was done then, float32 `[N, H, A]`.
+        future: frames that it led to, uint8 `[N, H, S, S, 3]`.
+        states: what is observable now and after each step, float64 `[N, H + 1, O]`; None in data
+            without.
     """
 
-    data: Path
-    dynamics: Path
-    out: Path = Path("runs/desk_probe")
-    probe_episodes: int = 1000
-    windows: int = 4
-    loop: LoopConfig = LoopConfig(
-        steps=5000,
-        learning_rate=2e-3,
-        schedule="cosine",
-        warmup_steps=100,
-        clip_norm=5.0,
-        precision="float32",
-        validate_every=1000,
-        checkpoint_every=1000,
-        threads=1,
-    )
+    past: Images
+    past_actions: NDArray[np.float32]
+    actions: NDArray[np.float32]
+    future: Images
+    states: NDArray[np.float64] | None
 
-    def __post_init__(self) -> None:
-        for name in ("probe_episodes", "windows"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+    def __len__(self) -> int:
+        return len(self.actions)
+
+    @property
+    def start(self) -> Images:
+        """The frames of now, uint8 `[N, S, S, 3]`."""
+        return self.past[:, -1]
 
 
-def probe_desk(config: DeskModelProbe, console: Console | None = None) -> dict[str, object]:
-    """Train the probe, or take the one in ``config.out``, and measure predictions.
+def read_windows(
+    file: EpisodeFile, episodes: Iterable[int], windows: int, horizon: int, context: int = 1
+) -> Windows:
+    """Windows of some episodes, spread evenly over each.
 
-    Writes ``figures.json`` and ``predictions.png`` into ``config.out``.
-
-    Returns:
-        What the file of figures holds.
-
-    Raises:
-        FileNotFoundError: no data, or no checkpoint.
-        ValueError: data of another environment, too short, or a checkpoint of another model.
-        KeyboardInterrupt: stopped; the same call goes on from there.
-    """
-    console = console or Console()
-    world = LayerWorld(load_model(config.dynamics, LayerDynamics, environment="desk"))
-    with EpisodeFile(config.data, "desk") as file:
-        total, steps = len(file), file.metadata.steps
-        held_out = min(max(total // 20, 1), 200)
-        if steps < HORIZON or total < 2:
-            raise ValueError(
-                f"{config.data}: needs 2 episodes of {HORIZON} steps, has {total} of {steps}"
-            )
-        probe = _train_probe(config, file, total - held_out, held_out, console)
-        frames, actions, states = _windows(file, total - held_out, held_out, config.windows)
-    figures: dict[str, object] = {
-        "windows": len(frames),
-        "images": image_figures(world, frames, actions),
-        "things": thing_figures(world, probe, frames, actions, states),
-        "config": json.loads(json.dumps(asdict(config), default=str)),
-    }
-    write_bytes(config.out / "figures.json", json.dumps(figures, indent=1).encode())
-    shown = np.linspace(0, len(frames) - 1, min(_SHOWN, len(frames))).astype(np.int64)
-    drawn = world.predict(world.observe(frames[shown, 0]), actions[shown])
-    rows = [frames[shown, 0]]
-    for h in STEPS_AHEAD:
-        rows += [frames[shown, h], drawn[:, h - 1]]
-    write_png(config.out / "predictions.png", frame_grid(rows, zoom=2))
-    _report(console, figures)
-    return figures
-
-
-class _ProbeSampler:
-    """Frames and states of some episodes, uniformly."""
-
-    def __init__(
-        self, frames: NDArray[np.uint8], states: NDArray[np.float32], count: int, seed: int
-    ) -> None:
-        self._frames, self._states, self._count, self._seed = frames, states, count, seed
-
-    def batch(self, step: int) -> Mapping[str, torch.Tensor]:
-        """The batch of training step ``step``."""
-        rng = np.random.default_rng([self._seed, step])
-        chosen = rng.integers(len(self._frames), size=self._count)
-        return {
-            "frames": torch.from_numpy(self._frames[chosen]),
-            "states": torch.from_numpy(self._states[chosen]),
-        }
-
-
-def _train_probe(
-    config: DeskModelProbe, file: EpisodeFile, training: int, held_out: int, console: Console
-) -> PositionProbe:
-    def read(first: int, count: int, stride: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        parts = [file.read(first + i, 1) for i in range(count)]
-        frames = np.concatenate([part.frames[0, ::stride] for part in parts])
-        states = np.concatenate([part.states[0, ::stride] for part in parts])
-        return frames, states.astype(np.float32)
-
-    frames, states = read(0, min(config.probe_episodes, training), 3)
-    checked, truth = read(training, held_out, 7)
-    checked, truth = checked[:_CHECKED], truth[:_CHECKED]
-
-    def validate(model: PositionProbe, _: torch.Generator) -> Validation:
-        wrong = 1e3 * np.abs(read_all(model, checked) - truth)
-        return Validation({name: float(wrong[:, x].mean()) for name, x in THINGS.items()})
-
-    seed = config.loop.seed
-    sizes = PositionProbeConfig(image_size=frames.shape[1], observables=states.shape[1])
-    return train(
-        seeded(seed, lambda: PositionProbe(sizes)).fit_scale(torch.from_numpy(states)),
-        _ProbeSampler(frames, states, 64, seed),
-        config.loop,
-        config.out / "probe",
-        environment="desk",
-        run={
-            "command": "hvf probe desk",
-            "data": asdict(file.metadata),
-            "episodes": config.probe_episodes,
-        },
-        validate=validate,
-        console=console,
-    )
-
-
-def _windows(
-    file: EpisodeFile, first: int, count: int, windows: int
-) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float64]]:
-    """Frames `[N, 16, S, S, 3]`, actions `[N, 15, 3]` and states `[N, 16, O]`, spread evenly.
-
-    Windows begin where a held action begins, if actions are held for three steps.
-    """
-    starts = np.linspace(0, file.metadata.steps - HORIZON, windows).astype(np.int64) // 3 * 3
-    frames, actions, states = [], [], []
-    for i in range(count):
-        episode = file.read(first + i, 1)
-        for start in np.unique(starts):
-            frames.append(episode.frames[0, start : start + HORIZON + 1])
-            actions.append(episode.actions[0, start : start + HORIZON])
-            states.append(episode.states[0, start : start + HORIZON + 1])
-    return np.stack(frames), np.stack(actions), np.stack(states)
-
-
-def read_all(probe: PositionProbe, frames: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """What the probe reads in `frames [N, S, S, 3]`, m: `[N, O]`."""
-    with torch.inference_mode():
-        parts = torch.split(torch.from_numpy(np.ascontiguousarray(frames)), 256)
-        read: NDArray[np.float32] = torch.cat([probe(part) for part in parts]).numpy()
-    return read
-
-
-def image_figures(
-    world: LayerWorld, frames: NDArray[np.uint8], actions: NDArray[np.float32]
-) -> dict[str, list[float]]:
-    """Mean PSNR (dB), SSIM and ST-LPIPS of predicted frames and of the start frame, by steps ahead.
-
-    ST-LPIPS only where it is installed.
+    They begin where a held action begins, if the data says that actions are held. An episode that
+    is shorter than a window is left out; in one with room for few, fewer are taken.
 
     Args:
-        world: the model.
-        frames: uint8 `[N, 16, S, S, 3]`.
-        actions: float32 `[N, 15, 3]`.
+        file: where from.
+        episodes: numbers of episodes.
+        windows: how many of each.
+        horizon: steps of a window, `H`.
+        context: frames that the model starts from, `C`.
+
+    Raises:
+        ValueError: no episode is as long as a window.
+    """
+    held = int(file.metadata.parameters.get("action_repeat", 1))
+    found: dict[str, list[NDArray[Any]]] = defaultdict(list)
+    for number in episodes:
+        episode = file.read(number, 1)
+        steps = episode.actions.shape[1]
+        last = steps - horizon
+        if last < context - 1:
+            continue
+        starts = np.linspace(context - 1, last, windows).astype(np.int64) // held * held
+        for now in np.unique(starts.clip(context - 1)):
+            first, end = now - context + 1, now + horizon
+            found["past"].append(episode.frames[0, first : now + 1])
+            found["past_actions"].append(episode.actions[0, first:now])
+            found["actions"].append(episode.actions[0, now:end])
+            found["future"].append(episode.frames[0, now + 1 : end + 1])
+            if episode.states is not None:
+                found["states"].append(episode.states[0, now : end + 1])
+    if not found:
+        raise ValueError(
+            f"{file.path}: no episode has {horizon + context - 1} steps, as long as a window"
+        )
+    arrays: dict[str, Any] = {name: np.stack(parts) for name, parts in found.items()}
+    return Windows(**{"states": None, **arrays})
+
+
+def predict(
+    world: Any,
+    frames: Images,
+    actions: NDArray[np.float32],
+    past_actions: NDArray[np.float32] | None = None,
+) -> Images:
+    """What `world` predicts: uint8 `[N, H, S, S, 3]`.
+
+    Args:
+        world: anything with `predict(frames, actions)`, which gives images uint8
+            `[N, H, S, S, 3]` for its own frames `[N]` and actions `[N, H, A]`. Its frames are made
+            with `observe_history` or `observe` if it has them (:mod:`hvf.protocols`), and are
+            images otherwise.
+        frames: images of now, uint8 `[N, S, S, 3]`, or with those before, `[N, C, S, S, 3]`.
+        actions: float32 `[N, H, A]`.
+        past_actions: between the frames of a history, float32 `[N, C - 1, A]`.
+
+    Raises:
+        TypeError: `world` cannot predict images.
+        ValueError: predictions of another shape or dtype.
+    """
+    if not callable(getattr(world, "predict", None)):
+        raise TypeError(f"world: {type(world).__name__} has no `predict`, which draws images")
+    history = frames[:, None] if frames.ndim == 4 else frames
+    count, horizon = actions.shape[:2]
+    if past_actions is None:
+        past_actions = np.zeros((count, history.shape[1] - 1, actions.shape[2]), np.float32)
+    drawn = [np.empty((0, horizon, *history.shape[2:]), np.uint8)]
+    for i in range(0, count, _AT_ONCE):
+        part = slice(i, i + _AT_ONCE)
+        starts = _starts(world, history[part], past_actions[part])
+        images = np.asarray(world.predict(starts, actions[part]))
+        expected = (len(actions[part]), horizon, *history.shape[2:])
+        if images.shape != expected or images.dtype != np.uint8:
+            raise ValueError(
+                f"world: predicted {images.dtype} {images.shape}, expected uint8 {expected}"
+            )
+        drawn.append(images)
+    return np.concatenate(drawn)
+
+
+def context_of(world: Any) -> int:
+    """Frames that `world` wants to start from, `C`."""
+    return int(world.context) if isinstance(world, Remembering) else 1
+
+
+def image_figures(drawn: Images, windows: Windows) -> dict[str, list[float]]:
+    """Mean PSNR (dB), SSIM and ST-LPIPS by steps ahead, `[H]` each.
+
+    Of predicted frames as `psnr`, `ssim` and `st_lpips`, of the last frame seen as `..._still`.
+    ST-LPIPS only where it is installed, and its network has room in the images.
+
+    Args:
+        drawn: predicted frames, uint8 `[N, H, S, S, 3]`.
+        windows: what happened.
     """
     measures: dict[str, Measure] = {"psnr": psnr, "ssim": ssim}
-    with contextlib.suppress(ModuleNotFoundError):
-        measures["st_lpips"] = perceptual_distance()
+    if min(drawn.shape[2:4]) >= _ROOM:
+        with contextlib.suppress(ModuleNotFoundError):
+            measures["st_lpips"] = perceptual_distance()
     found: dict[str, list[NDArray[np.float64]]] = defaultdict(list)
-    for i in range(0, len(frames), _AT_ONCE):
-        part = frames[i : i + _AT_ONCE]
-        drawn = world.predict(world.observe(part[:, 0]), actions[i : i + _AT_ONCE])
-        still = np.broadcast_to(part[:, :1], drawn.shape)
+    for i in range(0, len(windows), _AT_ONCE):
+        guess, truth = drawn[i : i + _AT_ONCE], windows.future[i : i + _AT_ONCE]
+        still = np.broadcast_to(windows.start[i : i + _AT_ONCE, None], truth.shape)
         for name, measure in measures.items():
-            found[name].append(measure(drawn, part[:, 1:]))
-            found[f"{name}_still"].append(measure(still, part[:, 1:]))
+            found[name].append(measure(guess, truth))
+            found[f"{name}_still"].append(measure(still, truth))
     return {
         name: np.concatenate(values).mean(axis=0).round(4).tolist()
         for name, values in found.items()
@@ -234,37 +183,43 @@ def image_figures(
 
 
 def thing_figures(
-    world: LayerWorld,
+    drawn: Images,
+    windows: Windows,
     probe: PositionProbe,
-    frames: NDArray[np.uint8],
-    actions: NDArray[np.float32],
-    states: NDArray[np.float64],
+    things: Things,
+    steps_ahead: Sequence[int],
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Mean errors in millimetres, by thing and steps ahead.
 
     `true` is what the probe misreads in true frames, `predicted` what it misreads in predicted
     ones, `still` how far the thing moved: the error of "nothing moves". The same over those windows
     in which the thing moved by more than a centimetre is `moved_...`, with their part as `moved`.
+
+    Args:
+        drawn: predicted frames, uint8 `[N, H, S, S, 3]`.
+        windows: what happened; with states, in metres.
+        probe: reads observables.
+        things: what to report.
+        steps_ahead: from 1 to `H`.
+
+    Raises:
+        ValueError: windows without states.
     """
-    drawn = np.concatenate(
-        [
-            world.predict(world.observe(frames[i : i + _AT_ONCE, 0]), actions[i : i + _AT_ONCE])[
-                :, [h - 1 for h in STEPS_AHEAD]
-            ]
-            for i in range(0, len(frames), _AT_ONCE)
-        ]
-    )
+    if windows.states is None:
+        raise ValueError("windows: have no states to compare positions with")
     found: dict[str, dict[str, dict[str, float]]] = {}
-    for column, h in enumerate(STEPS_AHEAD):
-        true, guess = read_all(probe, frames[:, h]), read_all(probe, drawn[:, column])
-        for name, which in THINGS.items():
-            truth, start = states[:, h, which], states[:, 0, which]
+    for h in steps_ahead:
+        true = read_positions(probe, windows.future[:, h - 1])
+        guess = read_positions(probe, drawn[:, h - 1])
+        for name, which in things.items():
+            which = list(which)
+            truth, start = windows.states[:, h, which], windows.states[:, 0, which]
             errors = {
                 "true": _distance(true[:, which], truth),
                 "predicted": _distance(guess[:, which], truth),
                 "still": _distance(start, truth),
             }
-            moved = errors["still"] > _MOVED
+            moved = errors["still"] > MOVED
             row = {kind: round(float(error.mean()), 1) for kind, error in errors.items()}
             row["moved"] = round(float(moved.mean()), 4)
             for kind, error in errors.items():
@@ -273,22 +228,93 @@ def thing_figures(
     return found
 
 
+def read_positions(probe: PositionProbe, frames: Images) -> NDArray[np.float32]:
+    """What the probe reads in uint8 `frames [N, S, S, 3]`, m: `[N, O]`."""
+    with torch.inference_mode():
+        parts = torch.split(torch.from_numpy(np.ascontiguousarray(frames)), 256)
+        read: NDArray[np.float32] = torch.cat([probe(part) for part in parts]).numpy()
+    return read
+
+
+def observables_of(parameters: Mapping[str, Any], count: int) -> list[str]:
+    """Names of what the states of a data set hold, `[O]`, as the data says, or else numbers.
+
+    Args:
+        parameters: of the data set; `states` has the names.
+        count: of them, `O`.
+
+    Raises:
+        ValueError: other than `count` names.
+    """
+    names = list(parameters.get("states") or (f"state {i}" for i in range(count)))
+    if len(names) != count:
+        raise ValueError(f"data: {len(names)} names of states, {names}, for {count} numbers")
+    return names
+
+
+def things_of(environment: str, names: Sequence[str]) -> dict[str, list[int]]:
+    """What to report of observables: as the domain says (`groups`), or what belongs together.
+
+    `red_x`, `red_y` and `red_z` are a thing called `red`; `x` and `y` alone are a `position`.
+    """
+    groups: Mapping[str, slice] = {}
+    with contextlib.suppress(ValueError, ImportError):  # recorded elsewhere, or not installed here
+        groups = getattr(DOMAINS[environment], "groups", groups)
+    found = {name: list(range(len(names))[which]) for name, which in groups.items()}
+    if found and all(found.values()):
+        return found
+    found = {}
+    for i, name in enumerate(names):
+        stem, _, axis = name.rpartition("_")
+        thing = (stem.replace("_", " ") or "position") if axis in _AXES else name
+        found.setdefault(thing, []).append(i)
+    return found
+
+
+def check_disjoint(data: EpisodeFile, test: EpisodeFile) -> None:
+    """Refuse to test on what was trained on.
+
+    Two collections of one environment with the same seed hold the same episodes, as many as they
+    both have; unless they turn out to have none in common (recorded data, say, has no seeds).
+
+    Raises:
+        ValueError: another environment, image size or action dimension; or common episodes.
+    """
+    for name in ("environment", "frame_shape", "action_dim"):
+        ours, theirs = (
+            getattr(file.metadata if name == "environment" else file, name) for file in (data, test)
+        )
+        if ours != theirs:
+            raise ValueError(f"test_data: {name} is {theirs!r}, that of the data is {ours!r}")
+    if data.metadata.seed != test.metadata.seed:
+        return
+    known = {key for i in range(len(data)) for key in _keys(data, i)}
+    if any(key in known for i in range(len(test)) for key in _keys(test, i)):
+        raise ValueError(
+            f"test_data: has episodes of the data itself (both of {data.metadata.environment}, "
+            f"seed {data.metadata.seed}); collect it with another --seed"
+        )
+
+
+def _keys(file: EpisodeFile, number: int) -> list[tuple[str, bytes]]:
+    """What two recordings of one episode have in common: its actions, or how it starts."""
+    keys = [("actions", np.asarray(file.dataset("actions")[number]).tobytes())]
+    with contextlib.suppress(KeyError):
+        keys.append(("states", np.asarray(file.dataset("states")[number, 0]).tobytes()))
+    return keys
+
+
+def _starts(world: Any, history: Images, past_actions: NDArray[np.float32]) -> Any:
+    if isinstance(world, Remembering):
+        missing = max(0, world.context - history.shape[1])
+        images = np.concatenate([history[:, :1].repeat(missing, axis=1), history], axis=1)
+        before = np.zeros((len(history), missing, past_actions.shape[2]), np.float32)
+        done = np.concatenate([before, past_actions], axis=1)
+        first = images.shape[1] - world.context
+        return world.observe_history(images[:, first:], done[:, first:])
+    images = np.ascontiguousarray(history[:, -1])
+    return world.observe(images) if isinstance(world, Observer) else images
+
+
 def _distance(a: NDArray[np.floating], b: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.asarray(1e3 * np.linalg.norm(a.astype(np.float64) - b, axis=1))
-
-
-def _report(console: Console, figures: Mapping[str, object]) -> None:
-    images: dict[str, list[float]] = figures["images"]  # type: ignore[assignment]
-    table = Table("steps ahead", *map(str, STEPS_AHEAD), title="images")
-    for name, values in images.items():
-        table.add_row(name, *(f"{values[h - 1]:.3f}" for h in STEPS_AHEAD))
-    console.print(table)
-    if "st_lpips" not in images:
-        console.print("ST-LPIPS is not measured: pip install 'hvf[metrics]'", markup=False)
-    things: dict[str, dict[str, dict[str, float]]] = figures["things"]  # type: ignore[assignment]
-    columns = ("true", "predicted", "still", "moved", "moved_true", "moved_predicted")
-    table = Table("thing", "steps", *columns, "moved_still", title="mm")
-    for name, rows in things.items():
-        for h, row in rows.items():
-            table.add_row(name, h, *(f"{row[column]:g}" for column in (*columns, "moved_still")))
-    console.print(table)

@@ -38,7 +38,7 @@ _LOOK = 0.2
 _PATIENCE = 5.0
 """Seconds that a process has to stop before it is killed; its file is whole either way."""
 _SLOWER = {"latent": 100.0, "temporal": 10.0}
-"""How much slower than pixels a cost is, roughly."""
+"""How much slower than pixels a cost is, roughly; see :mod:`hvf.worlds.cost`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +62,7 @@ def run_all(
     chunk: int = 0,
     console: Console | None = None,
 ) -> list[Failure]:
-    """Run all evaluations that are not finished, those that take longest first.
+    """Run all evaluations that are not finished, those that take least first.
 
     Args:
         files: evaluations, and the JSON file of each.
@@ -88,7 +88,7 @@ def run_all(
     missing = [
         evaluation for evaluation, file in files.items() if not finished(evaluation, file, trials)
     ]
-    waiting = deque(sorted(missing, key=lambda evaluation: -work[evaluation]))
+    waiting = deque(sorted(missing, key=lambda evaluation: work[evaluation]))
     context = multiprocessing.get_context("spawn")
     children: list[_Child] = []
     failures: list[Failure] = []

@@ -1,4 +1,4 @@
-"""Where things are in an image of the desk, for measuring models; no model learns from it.
+"""Where things are in an image of any domain whose data has states; no model learns from it.
 
 A small convolutional network, trained on true frames and the recorded state. What it reads in a
 predicted frame says whether the frame shows things where they will be.

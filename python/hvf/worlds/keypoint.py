@@ -99,6 +99,18 @@ class KeypointWorld:
         """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
         return self.native.rollout_costs(starts, goals, actions)
 
+    def predict(
+        self, starts: hvf_core.KeypointFrames, actions: NDArray[np.float32]
+    ) -> NDArray[np.uint8]:
+        """Predicted frames uint8 `[N, H, S, S, 3]` for `actions [N, H, A]`, to look at."""
+        path = self.native.rollout(starts, np.ascontiguousarray(actions[:, None]))[:, 0]
+        count, horizon = path.shape[:2]
+        images = to_unit(torch.from_numpy(starts.images)).repeat_interleave(horizon, dim=0)
+        before = torch.from_numpy(starts.keypoints).repeat_interleave(horizon, dim=0)
+        with torch.inference_mode():
+            drawn = self.dynamics.draw(images, before, torch.from_numpy(path).flatten(0, 1))
+        return to_frames(drawn).numpy().reshape(count, horizon, *starts.images.shape[1:])
+
 
 class KeypointSubgoals:
     """Subgoals drawn by the keypoint generator (`hvf.protocols.SubgoalModel`)."""

@@ -79,6 +79,8 @@ class LayerWorld:
         with torch.inference_mode():
             parts = torch.split(torch.from_numpy(images), _IMAGES_AT_ONCE)
             scenes = [self.dynamics.perception.scene(part.to(self._device)) for part in parts]
+            if scenes:
+                self.dynamics.perception.check(parts[0].to(self._device), scenes[0].states)
         return self._frames(images, scenes)
 
     def changed(

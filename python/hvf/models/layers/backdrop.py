@@ -111,7 +111,10 @@ class Backdrop(nn.Module):
             if all(float(torch.corrcoef(pair)[0, 1].abs()) < _SAME for pair in pairs):
                 chosen.append(one)
         if len(chosen) < len(self.part):
-            raise ValueError(f"frames: {len(chosen)} things slide, expected {len(self.part)}")
+            raise ValueError(
+                f"frames: {len(chosen)} things slide, expected {len(self.part)}: this model takes "
+                "a fixed number of coloured things that slide for granted"
+            )
         for i, (_, part, direction, mean, coordinate) in enumerate(chosen[: len(self.part)]):
             places = coordinate.float()[:1_000_000]
             low, high = places.quantile(_TAIL), places.quantile(1 - _TAIL)

@@ -25,6 +25,7 @@ from hvf.models.layers.arm import Arm, ArmConfig
 from hvf.models.layers.backdrop import Backdrop, BackdropConfig
 from hvf.models.layers.colours import Colours, ColoursConfig
 from hvf.models.layers.gallery import Gallery, GalleryConfig
+from hvf.models.unfamiliar import every, warn_of_unfamiliar
 
 # A mask above this, and what is next to it, is a part and not the backdrop.
 _MASKED = 0.3
@@ -41,6 +42,14 @@ _DRAWN = 0.05
 _IMAGES_AT_ONCE = 64
 # Frames whose codes tell where the hand can be.
 _CODES = 3000
+# A colour is wrong if it differs by this much; in this part of all pixels at the bound. At the desk
+# in at most 0.10, with the camera turned by two degrees from 0.11 to 0.18, by five from 0.19 on.
+_WRONG, _WRONG_PART = 0.12, 0.15
+# A colour is nowhere near if it differs by this much from all that is drawn within so many pixels.
+# Of a square as wide as a cube is seen, in all but two pixels of 25 at the bound.
+_NOWHERE, _NEAR, _SQUARE, _SQUARE_PART = 0.2, 2, 5, 0.9
+# Share of the images of a call in which something has to be amiss: the arm hides it in others.
+_AMISS_IN = 0.25
 
 
 @dataclass(frozen=True)
@@ -218,6 +227,54 @@ class LayerPerception(nn.Module):
         drawn: Tensor = scenes.image * (1 - opacity) + colour
         return drawn.clamp(0, 1)
 
+    def check(self, frames: Tensor, states: Tensor | None = None) -> None:
+        """Warn once if uint8 `frames [N, S, S, 3]` look unfamiliar.
+
+        See :mod:`hvf.models.unfamiliar` for which of them count, and why it is a warning.
+
+        Args:
+            frames: what was observed.
+            states: what was seen in them, `[N, X]`, where that is known.
+        """
+        some = every(len(frames))
+        known = None if states is None else states[some]
+        slides, roams = self.config.sliders, self.config.roaming
+        warn_of_unfamiliar(
+            self,
+            self.misfit(frames[some], known).cpu().numpy(),
+            f"one still camera and light, {roams} coloured parts that roam, {slides} things that "
+            "slide, and one arm, all of them as in the data that it was trained on",
+            share=_AMISS_IN,
+        )
+
+    def misfit(self, frames: Tensor, states: Tensor | None = None) -> Tensor:
+        """How badly uint8 `frames [N, S, S, 3]` can be drawn, `[N]`: 1 and more is unfamiliar.
+
+        Everything is drawn anew from the state alone: backdrop, parts and arm. The larger of two
+        errors, over their bounds: the part of all pixels that have another colour (another camera,
+        light or table), and the largest part of a square of 5 pixels that looks like nothing that
+        is drawn nearby (a thing more, or one of another colour).
+
+        A thing more of which little is seen, or that looks like what is behind it, goes unnoticed;
+        so does any that has been in all the training data: it is backdrop.
+
+        Args:
+            frames: what was observed.
+            states: what was seen in them, `[N, X]`, where that is known.
+        """
+        found = self.observe(frames) if states is None else states
+        _, sliders, parts = self.split(found)
+        behind = self.paste(self.backdrop.draw(sliders), parts)
+        drawn = self.with_arm(Scene(behind, behind.new_zeros(0), found))
+        images = to_unit(frames)
+        wrong = ((drawn - images).abs().amax(dim=1) > _WRONG).float().mean(dim=(1, 2))
+        width = 2 * _NEAR + 1
+        above = images - F.max_pool2d(drawn, width, 1, _NEAR)
+        below = -F.max_pool2d(-drawn, width, 1, _NEAR) - images
+        nowhere = (torch.maximum(above, below).amax(dim=1) > _NOWHERE).float()
+        square = F.avg_pool2d(nowhere[:, None], _SQUARE, 1).amax(dim=(1, 2, 3))
+        return torch.maximum(wrong / _WRONG_PART, square / _SQUARE_PART)
+
     def paste(self, images: Tensor, parts: Tensor) -> Tensor:
         """`images [N, 3, S, S]` with `parts [N, R, 3]` before them."""
         rows, columns = self._stamps(parts)
@@ -254,7 +311,10 @@ class LayerPerception(nn.Module):
         self.colours.fit(pairs[:, 0], pairs[:, 1], seed)
         found = len(self.colours.roaming)
         if found != self.config.roaming:
-            raise ValueError(f"frames: {found} parts roam, expected {self.config.roaming}")
+            raise ValueError(
+                f"frames: {found} parts roam, expected {self.config.roaming}: this model takes a "
+                "fixed number of coloured parts for granted, each of a colour of its own"
+            )
         flat = frames.flatten(0, 1)
         parts = [self.find_parts(some) for some in torch.split(flat, _IMAGES_AT_ONCE)]
         observed = torch.cat([seen for seen, _ in parts])
