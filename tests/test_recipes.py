@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -67,6 +68,11 @@ def test_settings_reach_into_fields_of_fields() -> None:
         loop=dataclasses.replace(plain.loop, steps=7, seed=2),
         model=dataclasses.replace(plain.model, latent_dim=5, channels=(4, 4, 4, 4)),
     )
+
+
+def test_paths_may_be_words() -> None:
+    recipe = recipe_class("layers-generator").of("default", data="x.h5", dynamics="y", out="z")
+    assert (recipe.data, recipe.dynamics, recipe.folder) == (Path("x.h5"), Path("y"), Path("z"))
 
 
 def test_fields_that_fit_only_together_are_set_together() -> None:
@@ -221,6 +227,18 @@ def test_a_recipe_of_another_package_is_driven_like_ours(
     assert load_any("runs/counter/model.safetensors").name == "counter"
     with pytest.raises(ValueError, match=r"belongs to another run .*twice"):
         train("counter", own_data, console=QUIET, twice=False)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "largest"), [((-2.0, -3.0), (1.0, 2.5), 3.0), (None, None, None)]
+)
+def test_the_largest_action_is_that_of_the_box_if_the_data_has_one(
+    low: tuple[float, ...] | None, high: tuple[float, ...] | None, largest: float | None,
+    own_data: Path,
+) -> None:  # fmt: skip
+    with TrainingData(own_data, 0, QUIET) as data:
+        data.metadata = SimpleNamespace(action_low=low, action_high=high)  # type: ignore[assignment]
+        assert data.largest_action == largest
 
 
 def test_files_are_closed_whatever_happens(

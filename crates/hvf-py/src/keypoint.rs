@@ -176,7 +176,7 @@ impl PyKeypointWorld {
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let actions = actions.as_array().to_owned();
         let costs = py
-            .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions))
+            .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions.into()))
             .map_err(to_py)?;
         Ok(costs.into_pyarray(py))
     }

@@ -176,7 +176,7 @@ impl PyMazeWorld {
         let starts = self.frames(py, "starts", starts)?;
         let goals = self.frames(py, "goals", goals)?;
         let actions = floats::<Ix4>("actions", "[B, D, H, 2]", actions)?;
-        let costs = py.detach(|| self.inner.rollout_costs(&starts, &goals, actions));
+        let costs = py.detach(|| self.inner.rollout_costs(&starts, &goals, actions.into()));
         Ok(costs.map_err(to_py)?.into_pyarray(py))
     }
 
@@ -194,7 +194,7 @@ impl PyMazeWorld {
         let actions = floats::<Ix3>("actions", "[D, H, 2]", actions)?;
         let costs = py.detach(|| {
             self.inner
-                .shared_rollout_costs(&start, &goals, actions)
+                .shared_rollout_costs(&start, &goals, actions.into())
                 .unwrap_or_else(|| Err(Error::Model("cannot share rollouts".into())))
         });
         Ok(costs.map_err(to_py)?.into_pyarray(py))

@@ -1,8 +1,8 @@
 """``hvf paper``: the paper's tables as lists of evaluations.
 
 A domain's experiments are a function from :class:`~hvf.experiments.cells.Setup` (preset, world,
-split) to tables of :class:`~hvf.experiments.cells.Cell`, listed in :data:`EXPERIMENTS`. A cell
-of several tables is evaluated once.
+split) to tables of :class:`~hvf.experiments.cells.Cell`, listed in :data:`EXPERIMENTS`. A cell of
+several tables is evaluated once.
 
 Numbers of the paper (Nair & Finn, ICLR 2020) are success rates over 100 trials. A *verdict* says
 how ours compares: ``higher`` or ``lower`` if the 95% interval of the difference of the two rates

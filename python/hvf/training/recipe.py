@@ -90,7 +90,8 @@ class TrainingData:
         self.console = console
         self._seed = seed
         self._pools: list[EpisodePool] = []
-        self.held_out = self._open("validation")
+        # All of them, whatever their size: what is left out here would be learned from.
+        self.held_out = self._open("validation", memory_gb=1e6)
         self.held_out.move_to(0)
         self.metadata = self.held_out.metadata
 
@@ -215,7 +216,7 @@ class Recipe:
 
     @classmethod
     def of(cls, preset: str, **settings: Any) -> Any:
-        """The recipe with a preset, and with ``settings`` on top of it.
+        """The recipe with a preset, and with ``settings`` on top of it. Paths may be words.
 
         Raises:
             ValueError: no such preset or setting, or a value that a recipe refuses.
@@ -226,6 +227,10 @@ class Recipe:
             raise ValueError(f"preset: must be one of {names}; got {preset!r}")
         if "data" not in settings:
             raise TypeError(f"data: the recipe of {cls.name!r} needs a file of episodes")
+        for field in dataclasses.fields(cls):
+            path = field.name in ("data", "out") or isinstance(field.default, Path)
+            if path and isinstance(settings.get(field.name), str):
+                settings[field.name] = Path(settings[field.name])
         recipe = cls(data=settings.pop("data"), preset=preset)
         return with_settings(with_settings(recipe, cls.presets.get(preset, {})), settings)
 
@@ -344,6 +349,4 @@ def train(
     Raises:
         As :func:`run`; ValueError for a name, preset or setting that there is not.
     """
-    for key in settings.keys() & {"out", "dynamics"}:
-        settings[key] = Path(settings[key])
     return run(recipe_class(name).of(preset, data=Path(data), **settings), console)
