@@ -43,7 +43,7 @@ class Between:
     def title(self) -> str:
         """Costs in a line."""
         hardest = max(self.segment_costs)
-        return f"hardest segment {hardest:.4f}; straight to the goal {self.direct_cost:.4f}"
+        return f"hardest segment {hardest:.2g}; straight to the goal {self.direct_cost:.2g}"
 
     def write(self, out: Path) -> None:
         """Write a picture, and beside it a JSON file with the costs and one PNG for each subgoal.
