@@ -15,7 +15,7 @@ from rich.console import Console
 from torch import nn
 
 import hvf_core
-from hvf.data.collect import CollectConfig, collect_maze
+from hvf.domains.maze_collection import MazeCollection
 from hvf.models.checkpoint import load_model, read_header
 from hvf.models.frames import to_unit
 from hvf.models.vae import (
@@ -282,7 +282,7 @@ def test_centre_names_bad_frames() -> None:
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("data") / "maze.h5"
-    return collect_maze(CollectConfig(path, episodes=30, steps=10))
+    return MazeCollection(path, episodes=30, steps=10).run()
 
 
 class Squares:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 import hvf_core
-from hvf.data.collect import CollectConfig, collect_maze
+from hvf.domains.maze_collection import MazeCollection
 from hvf.worlds import MazeWorldConfig, load_maze
 
 torch = pytest.importorskip("torch")
@@ -46,7 +46,7 @@ SHORT = LoopConfig(
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("data") / "maze.h5"
-    collect_maze(CollectConfig(path, episodes=60, steps=10), Console(file=io.StringIO()))
+    MazeCollection(path, episodes=60, steps=10).run(Console(file=io.StringIO()))
     return path
 
 

@@ -6,12 +6,12 @@ from typing import Annotated
 
 import tyro
 
-from hvf.data.collect import CollectConfig, collect_maze
+from hvf.domains.maze_collection import MazeCollection
 
 
-def maze(config: Annotated[CollectConfig, tyro.conf.arg(name="")]) -> None:
+def maze(config: Annotated[MazeCollection, tyro.conf.arg(name="")]) -> None:
     """Collect episodes of the maze under uniformly random actions into one HDF5 file.
 
     Ctrl-C stops; the same command goes on from there.
     """
-    collect_maze(config)
+    config.run()

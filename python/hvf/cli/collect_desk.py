@@ -6,12 +6,12 @@ from typing import Annotated
 
 import tyro
 
-from hvf.domains.desk.collection import DeskCollectConfig, collect_desk
+from hvf.domains.desk.collection import DeskCollection
 
 
-def desk(config: Annotated[DeskCollectConfig, tyro.conf.arg(name="")]) -> None:
+def desk(config: Annotated[DeskCollection, tyro.conf.arg(name="")]) -> None:
     """Collect episodes of the Franka desk under uniformly random actions into one HDF5 file.
 
     Ctrl-C stops; the same command goes on from there.
     """
-    collect_desk(config)
+    config.run()

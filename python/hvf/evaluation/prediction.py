@@ -149,7 +149,7 @@ def _train_probe(
     def read(first: int, count: int, stride: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         parts = [file.read(first + i, 1) for i in range(count)]
         frames = np.concatenate([part.frames[0, ::stride] for part in parts])
-        states = np.concatenate([part.states[0, ::stride] for part in parts])
+        states = np.concatenate([part.true_states[0, ::stride] for part in parts])
         return frames, states.astype(np.float32)
 
     frames, states = read(0, min(config.probe_episodes, training), 3)
@@ -192,7 +192,7 @@ def _windows(
         for start in np.unique(starts):
             frames.append(episode.frames[0, start : start + HORIZON + 1])
             actions.append(episode.actions[0, start : start + HORIZON])
-            states.append(episode.states[0, start : start + HORIZON + 1])
+            states.append(episode.true_states[0, start : start + HORIZON + 1])
     return np.stack(frames), np.stack(actions), np.stack(states)
 
 
