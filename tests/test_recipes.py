@@ -19,10 +19,10 @@ from rich.console import Console
 
 import toy_desk as toy
 from hvf.cli import main
-from hvf.data.collect import CollectConfig, collect_maze
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
 from hvf.data.loader import EpisodePool, WindowSampler
+from hvf.domains.maze_collection import MazeCollection
 from hvf.models.checkpoint import load_any, read_header
 from hvf.models.entry import ModelEntry
 from hvf.models.vae import PAPER_CVAE, CVAEConfig
@@ -40,7 +40,7 @@ SHORT = LoopConfig(steps=2, device="cpu", threads=1)
 @pytest.fixture(scope="module")
 def maze(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("maze") / "maze.h5"
-    return collect_maze(CollectConfig(path, episodes=24, steps=10), QUIET)
+    return MazeCollection(path, episodes=24, steps=10).run(QUIET)
 
 
 @pytest.fixture(scope="module")

@@ -80,7 +80,8 @@ impl PyKeypointFrames {
     }
 }
 
-/// The compact learned dynamics model as a world model.
+/// The compact learned dynamics model as a world model. Actions beyond the box are taken as they
+/// are: the model extrapolates.
 #[pyclass(name = "KeypointWorld", module = "hvf_core", frozen)]
 pub struct PyKeypointWorld {
     /// The world.

@@ -69,7 +69,8 @@ impl PyLayerFrames {
     }
 }
 
-/// The desk's learned dynamics model as a world model.
+/// The desk's learned dynamics model as a world model. Actions beyond the box are taken as they
+/// are: the model extrapolates.
 #[pyclass(name = "LayerWorld", module = "hvf_core", frozen)]
 pub struct PyLayerWorld {
     /// The world.

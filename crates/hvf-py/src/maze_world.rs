@@ -102,7 +102,8 @@ impl PyMazeFrames {
 /// The planning cost is the pixel cost (`image_cost`) between the frame that simulator and
 /// renderer would give and the goal image, computed without drawing it. `blur` is the standard
 /// deviation, in pixels, of a Gaussian blur of both; `over_horizon` says which predicted frames
-/// count: 'last', 'sum' or 'min'. The planners use it without the GIL.
+/// count: 'last', 'sum' or 'min'. Actions beyond the box count as the nearest within, as in the
+/// environment. The planners use it without the GIL.
 #[pyclass(name = "MazeWorld", module = "hvf_core", frozen)]
 pub struct PyMazeWorld {
     /// The world.

@@ -22,6 +22,9 @@ use crate::{Error, Result};
 /// 2. The predicted frame is the start frame with its sprite moved to the new keypoint.
 /// 3. Its squared distance to the goal image, per pixel, has a closed form ([`Sprite`]), so no
 ///    frame is decoded.
+///
+/// Actions beyond the action box are taken as they are: the cell, which was trained within it,
+/// extrapolates.
 #[derive(Clone, Debug)]
 pub struct KeypointWorld {
     cell: Arc<Cell>,

@@ -31,6 +31,9 @@ const CHUNK: usize = BLOCKS * LANES;
 ///
 /// Candidates go in blocks of 64; what one costs does not depend on its block, on the other
 /// goals it is compared with, or on the number of threads.
+///
+/// Actions beyond the action box are taken as they are: the cell, which was trained within it,
+/// extrapolates.
 #[derive(Clone, Debug)]
 pub struct LayerWorld {
     cell: Cell,

@@ -38,7 +38,7 @@ impl Default for MazeWorldConfig {
 /// The planning cost is the pixel cost between the frame that the simulator and the renderer
 /// would give and the goal image. It is computed without drawing the frame and equals
 /// [`paired_costs`](crate::image::paired_costs) of the drawn frame: bit for bit without blur, to
-/// 1e-5 with.
+/// 1e-5 with. Actions beyond the action box count as the nearest within, as in the environment.
 ///
 /// # Example
 /// ```
