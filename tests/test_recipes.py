@@ -303,6 +303,8 @@ def test_every_entry_says_what_its_model_assumes_and_leads_to_it() -> None:
         module = entry.resolved("module")
         assert module.__name__ == entry.class_name
         assert dataclasses.is_dataclass(module.config_type)
+        assert callable(entry.resolved("plannable"))
+        assert entry.resolved("recipe") is recipe_class(name)
 
 
 # ---- the command line --------------------------------------------------------------------------
@@ -428,9 +430,7 @@ def test_help_shows_models_options_and_what_holds(
     assert said in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "words", [[], ["sv3p"], ["cvae"], ["cvae", "--data", "x.h5", "--bath-size", "3"]]
-)
+@pytest.mark.parametrize("words", [["cvae"], ["cvae", "--data", "x.h5", "--bath-size", "3"]])
 def test_what_is_not_said_right_is_an_error(words: list[str]) -> None:
     with pytest.raises(SystemExit) as left:
         main(["train", *words])
@@ -441,6 +441,7 @@ def test_what_cannot_be_used_is_one_line(
     maze: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for words, message in (
+        (["sv3p"], "must be one of keypoint"),
         (["cvae", "--data", str(tmp_path / "no.h5")], "no such data file"),
         (["cvae", "--data", str(maze), "--preset", "papr"], "preset: must be one of"),
         (["layers", "--data", str(maze), "--length", "5"], "actions have 2 dimensions"),

@@ -19,6 +19,8 @@ from hvf.training.tracks.keypoints import Transitions, TransitionSampler
 
 # Validation: windows of this many steps from each held-out episode, and how many are drawn.
 _HORIZON = 5
+# Steps between two frames in which what moves is seen to have moved.
+_APART = 10
 _SHOWN = 10
 
 
@@ -85,6 +87,7 @@ class KeypointRecipe(Recipe):
             validate=lambda model, _: validate_perception(model, data.held_out),
         )
         pool.close()
+        perception.warn_of_unexplained(_pairs(data.held_out).to(perception.colour.device))
         model = seeded(seed, lambda: KeypointDynamics(config)).freeze_perception(perception)
         episodes = min(self.episodes, data.training)
         found = Transitions(data.path, model, episodes, console=data.console)
@@ -111,6 +114,11 @@ class KeypointRecipe(Recipe):
             ValueError: images that the model cannot take.
         """
         size = data.square("the keypoint model")
+        if data.metadata.steps < _HORIZON:
+            raise ValueError(
+                f"{data.path}: episodes have {data.metadata.steps} steps, "
+                f"validation needs {_HORIZON}"
+            )
         largest = data.largest_action
         try:
             return dataclasses.replace(
@@ -124,11 +132,11 @@ class KeypointRecipe(Recipe):
 
 
 def validate_perception(model: KeypointPerception, held_out: EpisodePool) -> Validation:
-    """Unexplained part of the difference between held-out frames ten steps apart, and a picture.
+    """Unexplained part of the difference between held-out frames some steps apart, and a picture.
 
     The rows of the picture: frames, masks, and the frames with the sprite taken away.
     """
-    frames = torch.from_numpy(held_out.frames[:64, [0, 10]]).to(model.colour.device)
+    frames = _pairs(held_out).to(model.colour.device)
     images = to_unit(frames.flatten(0, 1))
     mask = model.motion_mask(images)
     pixels = model.centroid(mask)
@@ -146,6 +154,12 @@ def validate_perception(model: KeypointPerception, held_out: EpisodePool) -> Val
     masks = mask[:_SHOWN, None].expand(-1, 3, -1, -1)
     rows = [to_frames(row).cpu().numpy() for row in (images[:_SHOWN], masks, background[:_SHOWN])]
     return Validation(metrics, {"perception": frame_grid(rows, zoom=2)})
+
+
+def _pairs(held_out: EpisodePool) -> torch.Tensor:
+    """Two frames of held-out episodes each, uint8 ``[N, 2, S, S, 3]``."""
+    apart = min(_APART, held_out.metadata.steps)
+    return torch.from_numpy(held_out.frames[:64, [0, apart]])
 
 
 def validate_dynamics(model: KeypointDynamics, held_out: EpisodePool) -> Validation:
