@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 from hypothesis import settings
 
+import processes
+
 # No test depends on how fast, or how busy, the machine is.
 settings.register_profile("hvf", deadline=None)
 settings.load_profile("hvf")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def signals() -> Iterator[None]:
+    """Ctrl-C reaches the tests that send it to themselves, also in a job in the background."""
+    with processes.default_signals():
+        yield
 
 
 @pytest.fixture
@@ -23,12 +29,8 @@ def outputs_by_threads() -> Callable[[str], set[str]]:
 
     def run(program: str) -> set[str]:
         return {
-            subprocess.run(
-                [sys.executable, "-c", program],
-                env={**os.environ, "RAYON_NUM_THREADS": threads},
-                capture_output=True,
-                text=True,
-                check=True,
+            processes.run(
+                processes.python(program), env={"RAYON_NUM_THREADS": threads}, check=True
             ).stdout
             for threads in ("1", "2")
         }
@@ -41,14 +43,11 @@ def interrupted_output() -> Callable[[str], str]:
     """What a program prints when Ctrl-C comes soon after it has printed ``planning``."""
 
     def run(program: str) -> str:
-        child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
-        assert child.stdout is not None
-        with child:
-            assert child.stdout.readline() == "planning\n"
+        with processes.started(processes.python(program)) as child:
+            child.wait_for("planning\n")
             time.sleep(0.3)  # well into the plan, most likely; earlier passes too
-            child.send_signal(signal.SIGINT)
-            output, _ = child.communicate(timeout=60)
-        assert child.returncode == 0
-        return output
+            child.tell(signal.SIGINT)
+            assert child.wait() == 0, child.errors
+        return child.output
 
     return run

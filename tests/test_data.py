@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import h5py
@@ -17,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 import hvf_core
+import processes
 from hvf.data.collect import CollectConfig, collect, collect_maze
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import EpisodeFile, write_episodes
@@ -45,10 +43,6 @@ def numbers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return collected(tmp_path_factory.mktemp("data") / "numbers.h5")
 
 
-def hvf(*words: str) -> list[str]:
-    return [sys.executable, "-c", "import sys; from hvf.cli import main; sys.exit(main())", *words]
-
-
 # ---- collecting --------------------------------------------------------------------------------
 
 
@@ -75,12 +69,11 @@ def test_a_killed_collection_goes_on_to_the_same_file(tmp_path: Path) -> None:
     whole = collect_maze(CollectConfig(tmp_path / "whole.h5", 150, 10, part=5))
     out = tmp_path / "killed.h5"
     words = ("collect", "maze", "--out", str(out), "--episodes", "150", "--steps", "10")
-    process = subprocess.Popen(hvf(*words, "--part", "5"), stdout=subprocess.DEVNULL)
     parts = tmp_path / "killed.h5.parts"
-    while process.poll() is None and len(list(parts.glob("0*.h5"))) < 5:
-        time.sleep(0.002)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    with processes.started([*processes.HVF, *words, "--part", "5"]) as child:
+        child.wait_until(lambda: len(list(parts.glob("0*.h5"))) >= 5)
+        child.tell(signal.SIGKILL)
+        child.wait()
     assert not out.exists()
     done = sorted(parts.glob("0*.h5"))
     kept = {path.name: path.stat().st_mtime_ns for path in done[:5]}
@@ -122,9 +115,7 @@ def test_a_full_disk_leaves_what_was_there(tmp_path: Path) -> None:
         "sys.exit(main())"
     )
     words = ["collect", "maze", "--out", str(out), "--episodes", "60", "--steps", "100"]
-    run = subprocess.run(
-        [sys.executable, "-c", limited, *words, "--overwrite"], capture_output=True, text=True
-    )
+    run = processes.run([*processes.python(limited), *words, "--overwrite"])
     assert run.returncode == 1
     assert "cannot write" in run.stderr
     assert "maze.h5" in run.stderr

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +11,8 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
+
+import processes
 
 pytest.importorskip("mujoco", reason="MuJoCo 4 needs Python 3.11")
 
@@ -471,18 +471,21 @@ def test_gymnasiums_checker_passes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert complaints(caught) == []
 
 
-def test_stable_baselines_checker_passes() -> None:
+@pytest.mark.parametrize("goals", [False, True])
+def test_stable_baselines_checker_passes(goals: bool) -> None:
     from stable_baselines3.common.env_checker import check_env
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        check_env(gymnasium.make(DESK_ID, task="two_block"), warn=True)
+        check_env(
+            gymnasium.make(DESK_ID, task="two_block", goal_observation=goals).unwrapped, warn=True
+        )
     assert complaints(caught) == []
 
 
 def test_importing_hvf_loads_no_mujoco() -> None:
     code = "import sys, hvf; assert 'mujoco' not in sys.modules and 'OpenGL' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    processes.run(processes.python(code), check=True)
 
 
 def test_saving_and_restoring_is_exact() -> None:
@@ -556,18 +559,58 @@ def test_vector_environments_of_gymnasium_work() -> None:
     envs.close()
 
 
-def test_a_diverged_episode_names_seed_and_step_and_is_over() -> None:
+def test_a_diverged_episode_is_truncated_and_names_seed_and_step() -> None:
     env = DeskEnv("door", image_size=8)
     _, info = env.reset(seed=9)
     env.step(np.zeros(3, np.float32))
     wild = info["state"].copy()
     wild[62] = 1e9
-    env.reset(seed=9, options={"state": wild, "episode": 3})
-    with pytest.raises(DivergenceError, match=r"seed 9, episode 3, step 0"):
-        env.step(np.zeros(3, np.float32))
+    first, _ = env.reset(seed=9, options={"state": wild, "episode": 3})
+    last, reward, terminated, truncated, info = env.step(np.zeros(3, np.float32))
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert "diverged: seed 9, episode 3, step 0" in info["error"]
+    np.testing.assert_array_equal(last, first)
+    np.testing.assert_array_equal(info["state"], wild)
     with pytest.raises(ResetNeeded):
         env.step(np.zeros(3, np.float32))
+    env.reset(seed=9)
+    *_, info = env.step(np.zeros(3, np.float32))
+    assert "error" not in info
     env.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_rewards_of_goals_are_those_of_the_steps(task: Any, simulator: DeskSimulator) -> None:
+    env = DeskEnv(task, image_size=8, goal_observation=True)
+    plain = DeskEnv(task, image_size=8)
+    ways = make_episodes(simulator, task, 5, 0, 1).ways[0].reshape(-1, 63)
+    seen, rewards = [], []
+    for state in ways:
+        options = {"state": state, "episode": 0}
+        env.reset(seed=5, options=options)
+        plain.reset(seed=5, options=options)
+        observation, reward, *_, info = env.step(np.zeros(3, np.float32))
+        image, expected, *_ = plain.step(np.zeros(3, np.float32))
+        assert env.observation_space.contains(observation)
+        np.testing.assert_array_equal(observation["observation"], image)
+        achieved, desired = observation["achieved_goal"], observation["desired_goal"]
+        assert reward == expected == env.compute_reward(achieved, desired, {})
+        assert achieved.tolist() == [info["door"], *info["blocks"][:, 2]]
+        seen.append(observation)
+        rewards.append(reward)
+    together = env.compute_reward(
+        *(np.stack([one[key] for one in seen]) for key in ("achieved_goal", "desired_goal")), None
+    )
+    assert together.tolist() == rewards
+    assert 1.0 in rewards
+    assert 0.0 in rewards
+    # In hindsight: what was achieved is reached where it was wanted.
+    assert env.compute_reward(achieved, achieved, None) == 1
+    for bad in (np.zeros(3), np.full(4, np.nan), "there"):
+        with pytest.raises(ValueError, match="achieved_goal"):
+            env.compute_reward(bad, desired, None)
+    env.close()
+    plain.close()
 
 
 # ---- bad input ---------------------------------------------------------------------------------
@@ -677,7 +720,7 @@ def test_a_missing_mujoco_is_one_clear_line() -> None:
         "util.find_spec = lambda name, *rest: None if name == 'mujoco' else found(name, *rest);"
         "from hvf.cli import main; sys.exit(main(['collect', 'desk', '--out', 'x.h5']))"
     )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    run = processes.run(processes.python(code))
     assert run.returncode == 1
     assert "needs MuJoCo 4 and Python 3.11" in run.stderr
     assert "Traceback" not in run.stderr
@@ -694,5 +737,5 @@ def test_torch_can_optimise_after_the_desk_was_drawn() -> None:
         "torch.optim.Adam(layer.parameters()).step()\n"
         "print('fine')\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = processes.run(processes.python(program))
     assert done.stdout == "fine\n", done.stderr

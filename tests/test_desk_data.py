@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+import processes
 
 pytest.importorskip("mujoco", reason="MuJoCo 4 needs Python 3.11")
 
@@ -121,22 +120,20 @@ def test_a_simulation_that_diverges_is_drawn_anew_and_counted(worker: Worker) ->
     assert np.isfinite(episodes.states).all()
 
 
-def test_ctrl_c_stops_all_processes_and_the_same_command_goes_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_stops_all_processes_and_the_same_command_goes_on(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     out = tmp_path / "desk.h5"
-    command = "import sys; from hvf.cli import main; sys.exit(main())"
     words = ["collect", "desk", "--out", str(out), "--episodes", "12", "--steps", str(STEPS)]
     words += ["--seed", "3", "--image-size", "16", "--workers", "2", "--part", "1"]
-    process = subprocess.Popen(
-        [sys.executable, "-c", command, *words], stderr=subprocess.PIPE, text=True
-    )
     parts = tmp_path / "desk.h5.parts"
-    while process.poll() is None and len(list(parts.glob("0*.h5"))) < 2:
-        time.sleep(0.002)
-    process.send_signal(signal.SIGINT)
-    # The pipe closes when the last process that holds it has ended.
-    _, errors = process.communicate()
-    assert process.returncode in (130, 0)
-    assert "Traceback" not in errors
+    with processes.started([*processes.HVF, *words]) as child:
+        child.wait_until(lambda: len(list(parts.glob("0*.h5"))) >= 2)
+        child.tell(number)
+        assert child.wait() in (130, 0)
+        assert child.gone()
+    assert "Traceback" not in child.errors
     collected(out, 12, workers=2, part=1)
     assert out.read_bytes() == collected(tmp_path / "other.h5", 12, workers=1).read_bytes()
 

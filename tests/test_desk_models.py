@@ -20,7 +20,7 @@ from hvf.evaluation.image_quality import perceptual_distance, psnr, ssim  # noqa
 from hvf.models.vae import CVAEConfig  # noqa: E402
 from hvf.training.loop import LoopConfig  # noqa: E402
 from hvf.training.recipe import train  # noqa: E402
-from hvf.worlds.keypoint import ImageSubgoals  # noqa: E402
+from hvf.worlds.images import ImageSubgoals  # noqa: E402
 from hvf.worlds.layers import LayerWorld  # noqa: E402
 from layered_desk import random_dynamics  # noqa: E402
 

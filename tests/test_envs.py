@@ -1,6 +1,5 @@
 """The Gymnasium environments, by Gymnasium's and Stable-Baselines3's checkers and each other."""
 
-import subprocess
 import sys
 import warnings
 from typing import Any
@@ -16,6 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import hvf_core
+import processes
 from hvf.envs import MAZE_ID, register_envs
 from hvf.envs.maze.env import MazeEnv
 from hvf.envs.maze.vector import MazeVectorEnv
@@ -38,12 +38,13 @@ def test_gymnasiums_checker_passes(difficulty: str, monkeypatch: pytest.MonkeyPa
     assert complaints(caught) == []
 
 
-def test_stable_baselines_checker_passes() -> None:
+@pytest.mark.parametrize("goals", [False, True])
+def test_stable_baselines_checker_passes(goals: bool) -> None:
     from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        sb3_check_env(gymnasium.make(MAZE_ID), warn=True)
+        sb3_check_env(gymnasium.make(MAZE_ID, goal_observation=goals).unwrapped, warn=True)
     assert complaints(caught) == []
 
 
@@ -52,7 +53,7 @@ def test_importing_hvf_registers_without_torch() -> None:
         "import sys, hvf, gymnasium; env = gymnasium.make('hvf/Maze-v0', difficulty='easy');"
         "env.reset(seed=0); assert 'torch' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    processes.run(processes.python(code), check=True)
     register_envs()
 
 
@@ -83,6 +84,49 @@ def test_steps_rewards_and_ends() -> None:
             np.testing.assert_array_equal(image, hvf_core.maze_render(info["state"][None])[0])
         if reward == "dense":
             assert given == -info["distance"]
+
+
+@pytest.mark.parametrize("reward", ["sparse", "dense"])
+def test_rewards_of_goals_are_those_of_the_steps(reward: Any) -> None:
+    env = MazeEnv("easy", reward=reward, goal_observation=True)
+    plain = MazeEnv("easy", reward=reward)
+    first, info = env.reset(seed=3)
+    np.testing.assert_array_equal(first["observation"], plain.reset(seed=3)[0])
+    assert env.observation_space.contains(first)
+    seen, rewards = [], []
+    for _ in range(40):
+        towards = 4 * np.sign(first["desired_goal"] - info["state"][:2])
+        observation, given, *_, info = env.step((towards * 0.2).astype(np.float32))
+        np.testing.assert_array_equal(observation["achieved_goal"], info["state"][:2])
+        np.testing.assert_array_equal(observation["desired_goal"], info["target"])
+        assert given == env.compute_reward(info["state"][:2], info["target"], info)
+        seen.append(observation["achieved_goal"])
+        rewards.append(given)
+    targets = np.tile(first["desired_goal"], (40, 1))
+    together = env.compute_reward(np.stack(seen), targets, [{}] * 40)
+    assert np.asarray(together).tolist() == rewards
+    assert len(set(rewards)) > 1
+    for bad in (np.zeros(3), np.full(2, np.nan), "there", np.zeros((2, 2))):
+        with pytest.raises(ValueError, match="_goal"):
+            env.compute_reward(bad, np.zeros(2), {})
+
+
+def test_hindsight_replay_learns_on_goal_observations() -> None:
+    from stable_baselines3 import SAC, HerReplayBuffer
+
+    env = gymnasium.make(MAZE_ID, difficulty="easy", image_size=36, goal_observation=True)
+    learner = SAC(
+        "MultiInputPolicy",
+        env,
+        replay_buffer_class=HerReplayBuffer,
+        learning_starts=60,
+        batch_size=8,
+        buffer_size=100,
+        policy_kwargs={"net_arch": [8]},
+        device="cpu",
+    )
+    learner.learn(64)
+    assert learner.num_timesteps == 64
 
 
 def test_episodes_are_truncated_after_fifty_steps() -> None:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
 
+import processes
 from hvf.cli import main
 from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report, TrialRecord, load, save
@@ -317,26 +315,6 @@ if __name__ == "__main__":
 """
 
 
-def children_of(pid: int) -> set[int]:
-    """Processes that a process has started, and these in turn."""
-    found = set()
-    for task in Path("/proc", str(pid), "task").glob("*/children"):
-        for child in map(int, task.read_text().split()):
-            found |= {child} | children_of(child)
-    return found
-
-
-def is_there(pid: int) -> bool:
-    """Whether a process is alive, and not only waited for."""
-    try:
-        return Path("/proc", str(pid), "stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-@pytest.mark.skipif(
-    not list(Path("/proc/self/task").glob("*/children")), reason="finds processes in /proc"
-)
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_stop_ends_all_processes_and_loses_no_finished_trial(
     tmp_path: Path, how: signal.Signals
@@ -345,36 +323,20 @@ def test_a_stop_ends_all_processes_and_loses_no_finished_trial(
     program.write_text(SLOW)
     out = tmp_path / "out"
     out.mkdir()
-    parent = subprocess.Popen(
-        [sys.executable, str(program), str(out)],
-        stderr=subprocess.DEVNULL,
-        # As under a shell that runs it in the background: Ctrl-C is ignored by inheritance.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
-        env=dict(os.environ),
-    )
-    try:
-        deadline = time.monotonic() + 120
-        while len(list(out.glob("*.json"))) < 2:
-            assert parent.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        children = children_of(parent.pid)
-        assert len(children) >= 2
+    with processes.started([sys.executable, str(program), str(out)]) as parent:
+        parent.wait_until(lambda: len(list(out.glob("*.json"))) == 2)
+        assert len(processes.members(parent.pid)) >= 3
         begin = time.monotonic()
-        parent.send_signal(how)
-        status = parent.wait(timeout=30)
-        assert time.monotonic() - begin < 15
-        assert status == (-signal.SIGKILL if how == signal.SIGKILL else 130)
-        while any(map(is_there, children)):
-            assert time.monotonic() - begin < 30
-            time.sleep(0.05)
-    finally:
-        parent.kill()
-        parent.wait()
+        if how == signal.SIGINT:
+            parent.tell(how)  # as a terminal does, to the whole group
+        else:
+            parent.tell_it_alone(how)
+        assert parent.wait() == (-signal.SIGKILL if how == signal.SIGKILL else 130), parent.errors
+        parent.wait_until_gone()
+        assert time.monotonic() - begin < 30
     for file in out.glob("*.json"):
         trials = load(file).trials
         assert [trial.index for trial in trials] == list(range(len(trials)))
-        assert json.loads(file.read_text())["domain"] == "maze"
 
 
 def test_the_tables_of_a_paper_run_from_nothing_and_go_on(tmp_path: Path) -> None:

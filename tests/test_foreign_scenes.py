@@ -182,9 +182,9 @@ def maze_misfit(world: KeypointWorld, images: Images) -> NDArray[np.float32]:
         for part in torch.split(torch.from_numpy(images), 256):
             unit = to_unit(part)
             mask = perception.motion_mask(unit)
-            found.append(perception.misfit(unit, mask, perception.centroid(mask)))
-    misfit: NDArray[np.float32] = torch.cat(found).numpy()
-    return misfit
+            keypoints = perception.centroid(mask)
+            found.append(perception.misfit(unit, mask, keypoints, perception.sprite(keypoints)))
+    return np.concatenate(found)
 
 
 def test_real_mazes_are_far_from_unfamiliar(maze: KeypointWorld) -> None:
@@ -197,10 +197,13 @@ def test_looking_whether_images_are_familiar_changes_no_bit(maze: KeypointWorld)
     images = real_mazes(5, 10)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = maze.observe(images).keypoints
+        found = maze.observe(images)
     with torch.inference_mode():
-        expected = maze.dynamics.perception.keypoints(to_unit(torch.from_numpy(images)))
-    np.testing.assert_array_equal(found, expected.numpy())
+        unit = to_unit(torch.from_numpy(images))
+        keypoints = maze.dynamics.perception.keypoints(unit)
+        maps = maze.dynamics.maps(maze.dynamics.background(unit, keypoints))
+    np.testing.assert_array_equal(found.keypoints, keypoints.numpy())
+    np.testing.assert_array_equal(found.maps, maps.numpy())
 
 
 def foreign_mazes() -> Iterator[tuple[str, Images]]:
@@ -271,7 +274,7 @@ def test_more_than_a_share_of_images_has_to_be_unfamiliar(
 ) -> None:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        warn_of_unfamiliar(torch.nn.Identity(), torch.tensor(misfit), "this", share)
+        warn_of_unfamiliar(torch.nn.Identity(), np.array(misfit), "this", share)
     assert len(said) == warned
     assert all("made for this" in str(one.message) for one in said)
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+import hvf
 import hvf_core
 
 torch = pytest.importorskip("torch")
@@ -19,7 +20,6 @@ from hvf.models.keypoint.cell import Cell, CellConfig  # noqa: E402
 from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
 from hvf.models.keypoint.generator import GeneratorConfig, KeypointGenerator  # noqa: E402
 from hvf.models.keypoint.perception import KeypointPerception, PerceptionConfig  # noqa: E402
-from hvf.worlds import MazeWorldConfig, load_maze  # noqa: E402
 from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld  # noqa: E402
 
 
@@ -275,9 +275,9 @@ def test_a_search_with_the_shipped_models_does_not_depend_on_the_number_of_threa
 ) -> None:
     program = (
         "import numpy as np, torch, hvf_core\n"
-        "from hvf.worlds import MazeWorldConfig, load_maze\n"
+        "import hvf\n"
         "torch.set_num_threads(1)\n"
-        "world, generator = load_maze(MazeWorldConfig(blur=3.0, over_horizon='min'))\n"
+        "world, generator = hvf.load('maze')\n"
         "starts, targets = hvf_core.maze_episodes(0, 0, 1, 'hard')\n"
         "start = hvf_core.maze_render(starts)[0]\n"
         "goal = hvf_core.maze_render(np.concatenate([targets, starts[:, 2:]], 1))[0]\n"
@@ -289,7 +289,7 @@ def test_a_search_with_the_shipped_models_does_not_depend_on_the_number_of_threa
 
 
 def test_the_shipped_dynamics_predict_the_simulator() -> None:
-    world, _ = load_maze(MazeWorldConfig())
+    world, _ = hvf.load("maze")
     images, actions, states = hvf_core.maze_collect(1_000_000_011, 0, 60, 5)
     path = world.native.rollout(world.observe(images[:, 0]), actions[:, None])[:, 0]
     # Pixels of 1 cm from the middle of an image that shows 0.64 m.

@@ -197,7 +197,7 @@ def test_batches_equal_one_by_one() -> None:
     plans = SMALL.plan_batch(PointMass(), starts, goals, seeds)
     assert len(plans) == 7
     assert plans.actions.shape == (7, 3, 2)
-    for b, plan in enumerate(plans):  # type: ignore[arg-type, var-annotated]
+    for b, plan in enumerate(plans):
         alone = SMALL.plan(PointMass(), starts[b : b + 1], goals[b : b + 1], seeds[b])
         np.testing.assert_array_equal(alone.actions, plan.actions)
         np.testing.assert_array_equal(alone.actions, plans.actions[b])

@@ -18,6 +18,7 @@ from rich.console import Console
 
 import hvf_core
 import toy_desk as toy
+from hvf.cli import main
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import EpisodeFile, write_episodes
 from hvf.evaluation.prediction import (
@@ -30,10 +31,12 @@ from hvf.evaluation.prediction import (
     thing_figures,
     things_of,
 )
-from hvf.experiments.prediction import Probe, measure
+from hvf.experiments.prediction import Probe, measure, probe
+from hvf.models.checkpoint import save_model
 from hvf.models.frames import to_unit
 from hvf.models.image_quality import image_psnr, psnr, ssim
 from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics
+from hvf.models.keypoint.generator import GeneratorConfig, KeypointGenerator
 from hvf.models.keypoint.perception import PerceptionConfig
 from hvf.training.loop import LoopConfig
 from hvf.worlds.keypoint import KeypointWorld
@@ -298,9 +301,8 @@ def test_a_keypoint_model_is_probed_on_another_collection(write: Write, tmp_path
     assert figures["windows"] == 8 * 2  # of 4 that begin at 0, 0, 0 and 1, the different ones
     assert len(figures["images"]["psnr"]) == len(figures["images"]["psnr_still"]) == 5
     # The gaps never move; the agent does.
-    agent = figures["things"]["position"]["5"]
-    assert agent["moved"] > 0.5
-    assert figures["things"]["w1"]["5"]["still"] == 0
+    assert figures["things"]["agent"]["5"]["moved"] > 0.5
+    assert figures["things"]["gaps"]["5"]["still"] == 0
     assert json.loads((tmp_path / "figures.json").read_text()) == figures
     assert (tmp_path / "predictions.png").stat().st_size > 1000
 
@@ -317,6 +319,27 @@ def test_a_layers_model_is_probed_on_the_datas_own_last_episodes(tmp_path: Path)
     assert all(np.isfinite(row["6"]["predicted"]) for row in figures["things"].values())
     # Trained already: the same call reads the same.
     assert measure(LayerWorld(model), config, QUIET) == figures
+
+
+def test_the_verb_probes_a_checkpoint(write: Write, tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    model = KeypointDynamics(DynamicsConfig(perception=PerceptionConfig(image_size=32)))
+    save_model(tmp_path / "model.safetensors", model, environment="maze")
+    words = ["probe", "--data", str(write(3)), "--test-data", str(write(4))]
+    words += ["--model", str(tmp_path / "model.safetensors"), "--out", str(tmp_path / "out")]
+    words += ["--horizon", "4", "--steps-ahead", "1", "4", "--windows", "1", "--episodes", "5"]
+    assert main([*words, "--loop.steps", "5"]) == 0
+    figures = json.loads((tmp_path / "out" / "figures.json").read_text())
+    assert figures["model"] == {"name": "keypoint", "kind": "object"}
+    assert figures["windows"] == 5
+    assert list(figures["things"]) == ["agent", "gaps"]
+
+
+def test_a_model_that_predicts_no_frames_is_refused(write: Write, tmp_path: Path) -> None:
+    path = tmp_path / "generator.safetensors"
+    save_model(path, KeypointGenerator(GeneratorConfig(scene_dim=5)), environment="maze")
+    with pytest.raises(ValueError, match="holds a keypoint-generator model, which is good for"):
+        probe(Probe(write(3), path), QUIET)
 
 
 @pytest.mark.parametrize(

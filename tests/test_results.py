@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import processes
 from hvf.cli import main
 from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report, TrialRecord, save
@@ -246,13 +245,11 @@ def test_committed_results_make_a_table_without_torch_or_a_simulator(domain: str
     program = (
         "import sys\n"
         "from hvf.cli import main\n"
-        f"status = main(['results', {domain!r}, 'results/{domain}'])\n"
+        f"status = main(['results', {domain!r}, {str(ROOT / 'results' / domain)!r}])\n"
         "assert not {'torch', 'mujoco'} & sys.modules.keys()\n"
         "sys.exit(status)\n"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=120
-    )
+    run = processes.run(processes.python(program))
     assert run.returncode == 0, run.stderr
     assert "no subgoals" in run.stdout
 

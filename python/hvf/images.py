@@ -78,6 +78,6 @@ def read_image(argument: str, path: str | Path) -> NDArray[np.uint8]:
         raise FileNotFoundError(f"{argument}: {path} is no file")
     try:
         with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"))
+            return np.array(image.convert("RGB"))
     except (OSError, SyntaxError) as error:
         raise ValueError(f"{argument}: {path} is no image ({error})") from error

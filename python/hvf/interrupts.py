@@ -1,9 +1,11 @@
-"""Ctrl-C for long work: noted when it comes, obeyed where it does no harm."""
+"""Ctrl-C and SIGTERM for long work: noted when they come, obeyed where they do no harm."""
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import threading
+from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
@@ -13,6 +15,9 @@ class Interrupts:
 
     An exception that a signal raises wherever the program happens to be is lost inside a weak
     reference's callback or a destructor; a note is not.
+
+    A signal that is ignored when the block begins stays ignored: whoever started the program, a
+    script that put it into the background for one, wanted it so.
 
     Attributes:
         asked: whether somebody wants the work to stop.
@@ -26,13 +31,17 @@ class Interrupts:
         """Begin to listen, in the main thread; elsewhere no signal arrives."""
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
+                before = signal.getsignal(number)
+                if before is not signal.SIG_IGN:
+                    self._before[number] = before
+                    signal.signal(number, self._note)
         return self
 
     def __exit__(self, *_: object) -> None:
         """Give the signals back to whoever had them."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
+        self._before = {}
 
     def check(self) -> None:
         """Raise KeyboardInterrupt if somebody asked."""
@@ -43,3 +52,23 @@ class Interrupts:
         if self.asked:
             raise KeyboardInterrupt
         self.asked = True
+
+
+@contextlib.contextmanager
+def sigterm_as_interrupt() -> Iterator[None]:
+    """In this block SIGTERM raises KeyboardInterrupt in the main thread, as Ctrl-C does.
+
+    What stops a job on a server or in a container (``kill``, ``timeout``, a scheduler) sends
+    SIGTERM; Python's own answer is to die where it stands, without a ``finally``. Work inside
+    :class:`Interrupts` notes the signal as usual. The handler from before comes back at the end.
+    Does nothing outside the main thread, where no signal arrives, and where SIGTERM is ignored.
+    """
+    before = signal.getsignal(signal.SIGTERM)
+    if threading.current_thread() is not threading.main_thread() or before is signal.SIG_IGN:
+        yield
+        return
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -29,6 +29,7 @@ __all__ = [
     "Locating",
     "Measuring",
     "Observer",
+    "Preparer",
     "Privileged",
     "Remembering",
     "RolloutSharer",
@@ -64,15 +65,30 @@ class Frames(Protocol):
 # The frames of a model are both what it takes and what its `observe` gives.
 F_contra = TypeVar("F_contra", contravariant=True)
 F_co = TypeVar("F_co", covariant=True)
+# What a model prepares may be frames of another kind than those it is given.
+F_in = TypeVar("F_in", contravariant=True)
+F_out = TypeVar("F_out", covariant=True)
 
 
 @runtime_checkable
 class WorldModel(Protocol[F_contra]):
     """Predicts what actions lead to, and says how far that is from a goal.
 
-    Two attributes are optional: ``max_candidates``, the most candidates ``B * D`` that the model
-    wants in one call (default 65536), and the methods of :class:`RolloutSharer` and
-    :class:`Observer`.
+    Optional beside it:
+
+    * ``max_candidates``, the most candidates ``B * D`` that the model wants in one call (default
+      65536);
+    * the methods of :class:`RolloutSharer`, :class:`Observer` and :class:`Preparer`;
+    * ``uses_seeds``, true for a stochastic model: :meth:`rollout_costs` is then called with one
+      more keyword argument, ``seeds``, int64 ``[B, D]`` from 0 to 2**63 - 1, and
+      ``shared_rollout_costs`` with ``seeds`` ``[D]``, arrays of the model's own. A model that
+      draws the noise of candidate ``d`` of problem ``b`` from ``seeds[b, d]`` and nothing else
+      has plans as reproducible as a deterministic one: to the last bit the same alone and in a
+      batch, with rollouts shared or not, on any number of threads. In the first iteration,
+      problems under one seed have the same candidates and the same ``seeds``.
+
+    Actions lie within the box, unless the planner's ``clip=False``; what a larger action does is
+    then the model's to say.
     """
 
     @property
@@ -98,7 +114,9 @@ class WorldModel(Protocol[F_contra]):
 
         Returns:
             Costs ``[B, D]``, float32 (other numbers are converted), lower is better. A NaN ranks
-            last; a problem whose costs are all NaN ends the planning with a ``ValueError``.
+            last; a problem whose costs are all NaN ends the planning with a ``ValueError``. Any
+            array that NumPy can read will do, and any tensor, on a GPU and requiring gradients
+            too: it is taken to the host by its own ``detach`` and ``cpu``, or by DLPack.
         """
         ...
 
@@ -138,6 +156,30 @@ class Observer(Protocol[F_co]):
 
 
 @runtime_checkable
+class Preparer(Protocol[F_in, F_out]):
+    """A world model that does once per plan what depends on starts and goals only."""
+
+    def prepare(self, starts: F_in, goals: F_in) -> tuple[F_out, F_out]:
+        """Return the frames that stand for ``starts`` and ``goals`` while this plan is made.
+
+        Called once before the first ``rollout_costs`` of each call of ``VisualMPC.plan`` and
+        ``plan_batch``, and of each batch of segments in a search: the place to encode goals, or
+        the features of starts, which ``rollout_costs`` would do anew in every iteration.
+
+        Args:
+            starts: Frames ``[B]``, or ``[1]``, one for all goals.
+            goals: Frames ``[B]``.
+
+        Returns:
+            A tuple of as many starts and as many goals, frames of whatever kind: the planner
+            counts them and takes some of them, as other frames, for ``rollout_costs`` and
+            ``shared_rollout_costs``. The frame of goal ``b`` may hold what depends on the pair
+            of start and goal ``b``.
+        """
+        ...
+
+
+@runtime_checkable
 class SubgoalModel(Protocol[F_contra]):
     """Draws images that are possible in a scene, from latents with a standard normal prior."""
 
@@ -157,6 +199,7 @@ class SubgoalModel(Protocol[F_contra]):
             ``M * K`` frames, sample-major (frame ``m * K + k`` is subgoal ``k`` of sample ``m``):
             frames of the world model, or uint8 images ``[M * K, height, width, 3]``, or the
             frames of another world that have ``images``; the world model observes the latter two.
+            An array of three axes is ``M * K`` frames, never one image.
         """
         ...
 

@@ -174,8 +174,8 @@ class Planning:
             action_repeat=self.action_repeat,
             initial=self.initial,
             **first,
-            **({} if self.clip else {"clip": False}),
-            **({} if self.best == "all" else {"best": self.best}),
+            clip=self.clip,
+            best=self.best,
         )
 
     def search(self, subgoals: int) -> hvf_core.HVF:
@@ -187,7 +187,7 @@ class Planning:
             elites=self.subgoal_elites,
             iterations=self.subgoal_iterations,
             reduction=self.reduction,
-            **({} if self.best == "all" else {"best": self.best}),
+            best=self.best,
         )
 
     @property

@@ -1,4 +1,4 @@
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Literal, SupportsIndex, TypeAlias, final
 
 import numpy as np
@@ -50,7 +50,7 @@ class VisualMPC:
     Draws ``samples`` candidates of ``horizon`` steps, keeps the ``elites`` with the lowest
     predicted cost and refits a diagonal Gaussian to them, until its largest variance falls below
     ``min_variance`` or ``iterations`` are used up (paper, section 3 and algorithm 1). Objects are
-    immutable, compare by value, and can be copied and pickled.
+    immutable, compare and hash by value, and can be copied and pickled.
 
     Args:
         horizon: Model steps that a plan looks ahead (``H``).
@@ -60,7 +60,7 @@ class VisualMPC:
         min_variance: Variance below which a problem is done, in squared units of an action.
         action_repeat: Model steps that one drawn action is held for; divides ``horizon``.
         initial: First iteration's distribution: ``"uniform"`` over the action box, or
-            ``"normal"`` (the paper's has mean 0 and deviation 1), clipped to the box.
+            ``"normal"`` (the paper's has mean 0 and deviation 1).
         initial_low: Lower corner of a part of the action box, ``[A]``, for ``"uniform"``.
         initial_high: Upper corner, ``[A]``. The original maze code drew ``x >= 0`` only, a hint
             that the goal is to the right.
@@ -69,6 +69,13 @@ class VisualMPC:
         keep_elites: Best candidates that compete again in the next iteration, with the cost they
             had; at most ``elites``.
         warm_start_std: Standard deviation around a warm start, in units of an action.
+        clip: Whether candidates drawn from a Gaussian (a refitted one, ``"normal"``, around a warm
+            start) are clipped to the action box. The authors' released code does not: plans may
+            then lie beyond the box, and what a model makes of such actions is its own affair
+            (``MazeWorld`` clips them, ``KeypointWorld`` and ``LayerWorld`` extrapolate).
+        best: Where the answer comes from: ``"all"``, the candidate with the lowest cost of all
+            iterations, or ``"last"``, that of the last iteration that was run (kept elites
+            included), as in the authors' released code.
 
     Raises:
         ValueError: An argument is out of range; the message names it.
@@ -91,7 +98,10 @@ class VisualMPC:
         initial_std: float = 1.0,
         keep_elites: SupportsIndex = 0,
         warm_start_std: float = 1.0,
+        clip: bool = True,
+        best: Literal["all", "last"] = "all",
     ) -> VisualMPC: ...
+    def __hash__(self) -> int: ...
     @property
     def horizon(self) -> int: ...
     @property
@@ -118,6 +128,10 @@ class VisualMPC:
     def keep_elites(self) -> int: ...
     @property
     def warm_start_std(self) -> float: ...
+    @property
+    def clip(self) -> bool: ...
+    @property
+    def best(self) -> Literal["all", "last"]: ...
     def plan(
         self,
         model: Any,
@@ -160,7 +174,7 @@ class VisualMPC:
         Args:
             model: As for :meth:`plan`.
             starts: Uint8 images ``[B, height, width, 3]`` or frames of the model, ``[B]``; or one,
-                for all goals.
+                ``[1, ...]``, for all goals. Three axes are never one image here.
             goals: Images or frames, ``[B]``.
             seeds: One seed for all, one for each ``[B]``, or ``None`` for 0. Problems with one
                 start and one seed share their first iteration's rollouts where the model can.
@@ -180,7 +194,7 @@ class Plan:
 
     @property
     def cost(self) -> float:
-        """Predicted cost of these actions: the lowest of all iterations."""
+        """Predicted cost of these actions: the lowest of the iterations that ``best`` says."""
 
     @property
     def iterations(self) -> int:
@@ -216,6 +230,7 @@ class Plans:
 
     def __len__(self) -> int: ...
     def __getitem__(self, index: int, /) -> Plan: ...
+    def __iter__(self) -> Iterator[Plan]: ...
 
 @final
 class HVF:
@@ -223,8 +238,8 @@ class HVF:
 
     The cross-entropy method over the latents of ``subgoals`` images, from a standard normal. A
     sample costs what the hardest of its ``subgoals + 1`` segments costs to plan with ``mpc``
-    (paper, section 4 and algorithm 2). Objects are immutable, compare by value, and can be copied
-    and pickled.
+    (paper, section 4 and algorithm 2). Objects are immutable, compare and hash by value, and can
+    be copied and pickled.
 
     Args:
         mpc: How a segment is planned; ``None`` for ``VisualMPC()``.
@@ -240,6 +255,10 @@ class HVF:
             time, and what ``population_mean`` is over. Only with ``"max"``.
         share_rollouts: Share the first iteration's rollouts of all first segments where the model
             can (``shared_rollout_costs``). Changes nothing but the time.
+        best: Where the answer comes from: ``"all"``, the sample with the lowest cost of all
+            iterations, or ``"last"``, that of the last iteration that was run (kept elites
+            included), as in the authors' released code. Subgoals, latents, cost and plans are of
+            that one sample. How segments are planned is for the ``best`` of ``mpc`` to say.
 
     Raises:
         ValueError: An argument is out of range; the message names it.
@@ -259,7 +278,9 @@ class HVF:
         keep_elites: SupportsIndex = 0,
         prune: bool = True,
         share_rollouts: bool = True,
+        best: Literal["all", "last"] = "all",
     ) -> HVF: ...
+    def __hash__(self) -> int: ...
     @property
     def mpc(self) -> VisualMPC: ...
     @property
@@ -280,6 +301,8 @@ class HVF:
     def prune(self) -> bool: ...
     @property
     def share_rollouts(self) -> bool: ...
+    @property
+    def best(self) -> Literal["all", "last"]: ...
     def search(
         self, model: Any, generator: Any, start: Any, goal: Any, seed: SupportsIndex = 0
     ) -> SearchResult:
@@ -312,7 +335,7 @@ class HVF:
             model: As for :meth:`search`.
             generator: As for :meth:`search`.
             starts: Uint8 images ``[B, height, width, 3]`` or frames of the model, ``[B]``; or one,
-                for all goals.
+                ``[1, ...]``, for all goals.
             goals: Images or frames, ``[B]``.
             seeds: One seed for all, one for each ``[B]``, or ``None`` for 0.
 
@@ -370,6 +393,11 @@ class MazeFrames:
     def image_size(self) -> int: ...
 
 class MazeWorld:
+    """The maze's true simulator as a world model.
+
+    Actions beyond the box ``[-3, 3]`` count as the nearest within, as in the environment.
+    """
+
     def __init__(
         self,
         image_size: int = 64,
@@ -446,7 +474,8 @@ class KeypointWorld:
 
     `hvf.worlds.learned.LearnedWorld` makes one from a trained `hvf.models.KeypointDynamics`.
     The cost is the squared pixel distance of the predicted frame to the goal, per pixel, in closed
-    form. A candidate costs about `H * substeps * hidden**2` multiply-adds.
+    form. A candidate costs about `H * substeps * hidden**2` multiply-adds. Actions beyond the box
+    are taken as they are: the model, which was trained within it, extrapolates.
 
     Args:
         patch: weights of the first layer for what is around the keypoint, float32
@@ -552,7 +581,8 @@ class LayerWorld:
     `hvf.worlds.desk_learned.DeskLearnedWorld` makes one from a trained
     `hvf.models.desk.dynamics.DeskDynamics`. The cost is the squared pixel distance of the predicted
     frame to the goal, per pixel. Costs agree with those of torch to 1e-3 of their value, rollouts
-    of 15 steps to 1e-2 pixels.
+    of 15 steps to 1e-2 pixels. Actions beyond the box are taken as they are: the model, which was
+    trained within it, extrapolates.
 
     Letters in shapes: `A` = 3 action dimensions, `G` = 2 sliders, `R` parts that roam, `C` length
     of their memory, `T` size of a tile, `W` size of a sprite, `S` image size, `X` = A + G + 3R

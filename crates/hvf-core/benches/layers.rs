@@ -159,7 +159,8 @@ fn layers(criterion: &mut Criterion) {
         let candidates = actions(B);
         group.throughput(Throughput::Elements((B * D) as u64));
         group.bench_function(BenchmarkId::new("rollout_costs/blur", blur), |bencher| {
-            bencher.iter(|| world.rollout_costs(&starts, &goals, candidates.clone()).unwrap());
+            bencher
+                .iter(|| world.rollout_costs(&starts, &goals, candidates.clone().into()).unwrap());
         });
         if blur == 0.0 {
             group.bench_function("rollout", |bencher| {

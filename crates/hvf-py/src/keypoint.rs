@@ -80,7 +80,8 @@ impl PyKeypointFrames {
     }
 }
 
-/// The compact learned dynamics model as a world model.
+/// The compact learned dynamics model as a world model. Actions beyond the box are taken as they
+/// are: the model extrapolates.
 #[pyclass(name = "KeypointWorld", module = "hvf_core", frozen)]
 pub struct PyKeypointWorld {
     /// The world.
@@ -176,7 +177,7 @@ impl PyKeypointWorld {
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let actions = actions.as_array().to_owned();
         let costs = py
-            .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions))
+            .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions.into()))
             .map_err(to_py)?;
         Ok(costs.into_pyarray(py))
     }

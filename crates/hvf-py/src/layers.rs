@@ -69,7 +69,8 @@ impl PyLayerFrames {
     }
 }
 
-/// The desk's learned dynamics model as a world model.
+/// The desk's learned dynamics model as a world model. Actions beyond the box are taken as they
+/// are: the model extrapolates.
 #[pyclass(name = "LayerWorld", module = "hvf_core", frozen)]
 pub struct PyLayerWorld {
     /// The world.
@@ -162,7 +163,7 @@ impl PyLayerWorld {
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let actions = actions.as_array().to_owned();
         let costs = py
-            .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions))
+            .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions.into()))
             .map_err(to_py)?;
         Ok(costs.into_pyarray(py))
     }

@@ -102,7 +102,8 @@ impl PyMazeFrames {
 /// The planning cost is the pixel cost (`image_cost`) between the frame that simulator and
 /// renderer would give and the goal image, computed without drawing it. `blur` is the standard
 /// deviation, in pixels, of a Gaussian blur of both; `over_horizon` says which predicted frames
-/// count: 'last', 'sum' or 'min'. The planners use it without the GIL.
+/// count: 'last', 'sum' or 'min'. Actions beyond the box count as the nearest within, as in the
+/// environment. The planners use it without the GIL.
 #[pyclass(name = "MazeWorld", module = "hvf_core", frozen)]
 pub struct PyMazeWorld {
     /// The world.
@@ -176,7 +177,7 @@ impl PyMazeWorld {
         let starts = self.frames(py, "starts", starts)?;
         let goals = self.frames(py, "goals", goals)?;
         let actions = floats::<Ix4>("actions", "[B, D, H, 2]", actions)?;
-        let costs = py.detach(|| self.inner.rollout_costs(&starts, &goals, actions));
+        let costs = py.detach(|| self.inner.rollout_costs(&starts, &goals, actions.into()));
         Ok(costs.map_err(to_py)?.into_pyarray(py))
     }
 
@@ -194,7 +195,7 @@ impl PyMazeWorld {
         let actions = floats::<Ix3>("actions", "[D, H, 2]", actions)?;
         let costs = py.detach(|| {
             self.inner
-                .shared_rollout_costs(&start, &goals, actions)
+                .shared_rollout_costs(&start, &goals, actions.into())
                 .unwrap_or_else(|| Err(Error::Model("cannot share rollouts".into())))
         });
         Ok(costs.map_err(to_py)?.into_pyarray(py))

@@ -15,6 +15,8 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.markup import escape
 
+from hvf.interrupts import sigterm_as_interrupt
+
 
 class Verb(NamedTuple):
     """A verb: its file, what it takes, and what it does in a line."""
@@ -58,7 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     verb, rest = words[0], words[1:]
     console = Console(stderr=True)
     try:
-        importlib.import_module(VERBS[verb].module).run(rest)
+        with sigterm_as_interrupt():
+            importlib.import_module(VERBS[verb].module).run(rest)
     except KeyboardInterrupt:
         return 130
     except (ValueError, TypeError, OSError, RuntimeError, ImportError) as error:

@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
+from hvf.cli import recorded
 from hvf.cli.arguments import domain_named, evaluating
 from hvf.evaluation.evaluation import Evaluation
 
@@ -21,6 +22,9 @@ class Plan:
     what it aims at. Example:
 
         hvf plan maze --task hard --episode 3
+
+    With ``--data FILE`` it plans between two frames of a recorded episode, and acts in nothing:
+    ``hvf plan maze --data FILE --help``.
 
     Attributes:
         evaluation: which method, world and task, and how it plans.
@@ -50,7 +54,9 @@ def run(words: Sequence[str]) -> None:
     from hvf.evaluation.task import Task
 
     domain, rest = domain_named("plan", words)
-    domain.check_task(domain.default_task)
+    if not domain.tasks or any(word.split("=")[0] == "--data" for word in rest):
+        recorded.run(domain, rest)
+        return
     config = evaluating(Plan, "plan", domain, rest)
     console = Console()
     with Task.open(config.evaluation, config.workers) as task:

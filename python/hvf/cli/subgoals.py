@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 
 from hvf.cli.arguments import parsed
 from hvf.registry import DOMAINS
-from hvf.settings import World, check_word
+from hvf.settings import World
 
 
 @dataclasses.dataclass(frozen=True)
 class Subgoals:
     """Find the subgoal images between a start and a goal image, and what each segment costs.
 
-    Plans nothing but the subgoals, and acts in nothing: all that is needed are two images and two
-    trained models. Example:
+    Acts in nothing: all that is needed are two images and two trained models. Example:
 
         hvf subgoals --start a.png --goal b.png --dynamics runs/keypoint/model.safetensors
         --generator runs/cvae/model.safetensors --subgoals 2 --out strip.png
@@ -50,50 +47,22 @@ class Subgoals:
     def __post_init__(self) -> None:
         if self.subgoals < 1:
             raise ValueError(f"subgoals: must be at least 1, got {self.subgoals}")
-        check_word("domain", self.domain, tuple(DOMAINS))
+        DOMAINS[self.domain].preset(self.preset)
 
 
 def run(words: Sequence[str]) -> None:
     """Search, and write what was found."""
-    from hvf.agents.frames import images_of
-    from hvf.evaluation.pictures import save_subgoals
-    from hvf.files import write_bytes
-    from hvf.images import read_image, write_png
-    from hvf.worlds.load import load
+    from hvf.evaluation.between import load_for, search_between
+    from hvf.images import read_image
 
     config = parsed(Subgoals, "subgoals", words)
     console = Console()
-    domain = DOMAINS[config.domain]
     start, goal = read_image("start", config.start), read_image("goal", config.goal)
-    if start.shape != goal.shape:
-        raise ValueError(
-            f"goal: must be as large as start {list(start.shape)}, got {list(goal.shape)}"
-        )
-    preset = domain.preset(config.preset)
-    world = World(config.dynamics, config.generator)
-    with console.status("loading models"), domain.open() as place:
-        loaded = load(domain, world, preset.planning, place)
-        search = preset.planning.search(config.subgoals)
-        direct = preset.planning.mpc.plan(loaded.world, start, goal, seed=config.seed)
+    domain = DOMAINS[config.domain]
+    planning = domain.preset(config.preset).planning
+    with console.status("loading models"):
+        loaded = load_for(domain, World(config.dynamics, config.generator), planning)
     with console.status(f"searching for {config.subgoals} subgoals"):
-        found = search.search(loaded.world, loaded.generator, start, goal, seed=config.seed)
-    images = images_of(found.subgoals, loaded.world)
-    costs = [float(cost) for cost in found.segment_costs]
-    title = f"hardest segment {max(costs):.4f}; straight to the goal {direct.cost:.4f}"
-    save_subgoals(start, images, goal, costs, config.out, title)
-    stem = config.out.with_suffix("")
-    for k, image in enumerate(images):
-        write_png(stem.with_name(f"{stem.name}-{k + 1}.png"), np.ascontiguousarray(image))
-    facts = {
-        "segment_costs": costs,
-        "cost": float(found.cost),
-        "cost_without_subgoals": float(direct.cost),
-        "seed": config.seed,
-        "planning": dataclasses.asdict(preset.planning),
-        "weights": {
-            part: {"model": file.model, "sha256": file.sha256}
-            for part, file in loaded.weights.items()
-        },
-    }
-    write_bytes(stem.with_suffix(".json"), (json.dumps(facts, indent=1) + "\n").encode())
-    console.print(f"{config.out}: {title}", highlight=False)
+        found = search_between(loaded, planning, start, goal, config.subgoals, config.seed)
+    found.write(config.out)
+    console.print(f"{config.out}: {found.title}", highlight=False)

@@ -22,6 +22,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from numpy.typing import NDArray
 
 from hvf.domains.domain import Domain, Place
+from hvf.domains.gym_collection import GymCollection
 from hvf.protocols import Images, Indices
 from hvf.settings import Planning, Preset, World
 
@@ -238,6 +239,12 @@ def gym_domain(
     space = example.action_space
     example.close()
     assert isinstance(space, gymnasium.spaces.Box)
+    # A class of its own, since the command line makes its options from classes.
+    collection = type(
+        "GymCollection",
+        (GymCollection,),
+        {"domain": name, "where": first, "__doc__": GymCollection.__doc__},
+    )
     low, high = np.float32(space.low).tolist(), np.float32(space.high).tolist()
     return Domain(
         name=name,
@@ -247,6 +254,7 @@ def gym_domain(
         action_high=tuple(high),
         tasks=dict.fromkeys(envs, steps),
         presets=more.pop("presets", {"default": Preset(planning, world)}),
+        collection=more.pop("collection", collection),
         **more,
     )
 

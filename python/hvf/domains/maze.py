@@ -122,8 +122,8 @@ MAZE = Domain(
                 _PAPER,
                 initial="uniform",
                 initial_low=(0.0, -hvf_core.MAZE_ACTION_LIMIT),
-                # clip=False,
-                # best="last",
+                clip=False,
+                best="last",
                 # Mean squared error below 2 of 255, per colour.
                 threshold=3 * 2.0 / 255**2,
             ),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, Any
 
 import tyro
@@ -133,21 +134,21 @@ class Evaluation:
 
     @property
     def slug(self) -> str:
-        """A name for its file: what it is, and all settings that differ from the preset's."""
-        method = METHODS[self.method]
+        """A name for its file: what it is, and all settings that differ from the preset's.
+
+        Settings that differ have names that differ: a value that letters, digits and dots cannot
+        tell (a path, a tuple) is followed by a checksum.
+        """
+        method, place = METHODS[self.method], self.place
         words = [self.domain, self.task, self.label, self.preset]
-        preset = self.place.preset(self.preset)
-        settings = {
-            **_changes(self.world, preset.world),
-            **_changes(self.planning, preset.planning),
-        }
+        preset = place.preset(self.preset)
+        world = dict(_changes(self.world, preset.world))
         if not method.needs_generator:
-            settings.pop("generator", None)
-            settings = {k: v for k, v in settings.items() if not _of_search(k)}
+            world.pop("generator", None)
         if not method.needs_dynamics:
-            settings = {}
-        for name, value in settings.items():
-            words.append(f"{name}-{_short(str(value))}")
+            world = {}
+        for name, value in {**world, **_changes(self.planning, preset.planning)}.items():
+            words.append(f"{name}-{_word(value, place.weights)}")
         if self.split != "validation":
             words.append(self.split)
         if self.seed is not None:
@@ -170,9 +171,14 @@ def _changes(a: Any, b: Any) -> Mapping[str, Any]:
     return {name: getattr(a, name) for name in names if getattr(a, name) != getattr(b, name)}
 
 
-def _of_search(name: str) -> bool:
-    """Whether a setting is one of the search for subgoals."""
-    return name.startswith("subgoal_") or name == "reduction"
+def _word(value: Any, names: Collection[str]) -> str:
+    """A value in a file's name, with a checksum where the word does not tell it exactly."""
+    word = _short(str(value))
+    number = isinstance(value, int | float) and value >= 0
+    if number or value is None or value in names or re.fullmatch(r"[a-z0-9.]+", word):
+        if word == str(value):
+            return word
+    return f"{word}-{hashlib.sha256(repr(value).encode()).hexdigest()[:6]}"
 
 
 def _short(name: str) -> str:

@@ -98,7 +98,7 @@ def save_subgoals(
         label = "start" if k == 0 else "goal" if k == len(panels) - 1 else f"subgoal {k}"
         _show(ax, image, label)
         if k:
-            ax.set_xlabel(f"cost from the left: {costs[k - 1]:.4f}", fontsize=8)
+            ax.set_xlabel(f"cost from the left: {costs[k - 1]:.2g}", fontsize=8)
     if title:
         figure.suptitle(title, fontsize=12)
     with replacing(path) as temporary:

@@ -13,10 +13,9 @@ from hvf.evaluation.acting import Outcome, Watcher, act, derived_seed
 from hvf.evaluation.evaluation import Evaluation
 from hvf.protocols import Agent, Trials
 from hvf.registry import METHODS
-from hvf.settings import World
 from hvf.worlds.load import Loaded, load
 
-_CHUNK = 25
+_CHUNK, _CHUNK_IF_SLOW, _CHUNK_IF_SIMULATED = 25, 5, 2
 
 
 class Task:
@@ -108,7 +107,10 @@ class Task:
     @property
     def chunk(self) -> int:
         """Episodes that run together: few where one takes long, since a stop loses them."""
-        return 5 if self.evaluation.place.slow else _CHUNK
+        place = self.evaluation.place
+        if place.resolved(self.evaluation.world).dynamics in place.privileged:
+            return _CHUNK_IF_SIMULATED
+        return _CHUNK_IF_SLOW if place.slow else _CHUNK
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -151,8 +153,3 @@ class Task:
         """Run episodes ``first..first + count``."""
         trials, seeds = self.trials(first, count), self.seeds(first, count)
         return act(trials, self.agent, self.evaluation.acting, seeds, watchers)
-
-
-def world_of(evaluation: Evaluation) -> World:
-    """The names of what an evaluation plans with, its defaults said."""
-    return evaluation.place.resolved(evaluation.world)

@@ -25,6 +25,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from hvf.cores import cores
 from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report, load
 from hvf.evaluation.run import evaluate
@@ -37,7 +38,7 @@ _LOOK = 0.2
 """Seconds between two looks at the processes."""
 _PATIENCE = 5.0
 """Seconds that a process has to stop before it is killed; its file is whole either way."""
-_SLOWER = {"latent": 1000.0, "temporal": 10.0}
+_SLOWER = {"latent": 100.0, "temporal": 10.0}
 """How much slower than pixels a cost is, roughly; see :mod:`hvf.worlds.cost`."""
 
 
@@ -98,7 +99,7 @@ def run_all(
         try:
             while waiting or children:
                 interrupts.check()
-                while waiting and len(children) < (workers or _cores()):
+                while waiting and len(children) < (workers or cores()):
                     evaluation = waiting.popleft()
                     file = files[evaluation]
                     children.append(_Child.start(context, evaluation, file, trials, chunk))
@@ -302,11 +303,3 @@ def _progress(console: Console) -> Iterator[tuple[Progress, TaskID]]:
     shown = console.is_terminal
     with Progress(*columns, console=console, disable=not shown, transient=True) as progress:
         yield progress, progress.add_task("", total=None, left="", names="")
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on every system
-        return os.cpu_count() or 1

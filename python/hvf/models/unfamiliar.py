@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import warnings
 
-from torch import Tensor, nn
+import numpy as np
+from numpy.typing import NDArray
+from torch import nn
 
 LOOKED_AT = 16
 """Images of a call that are looked at, at most."""
@@ -27,7 +29,9 @@ def every(count: int) -> slice:
     return slice(None, None, max(1, -(-count // LOOKED_AT)))
 
 
-def warn_of_unfamiliar(model: nn.Module, misfit: Tensor, expected: str, share: float = 0.5) -> None:
+def warn_of_unfamiliar(
+    model: nn.Module, misfit: NDArray[np.floating], expected: str, share: float = 0.5
+) -> None:
     """Warn, once for each model, if more than a share of `misfit [N]` is above 1.
 
     Args:
@@ -38,7 +42,7 @@ def warn_of_unfamiliar(model: nn.Module, misfit: Tensor, expected: str, share: f
     """
     if not len(misfit) or getattr(model, "_warned_of_unfamiliar", False):
         return
-    deciding = float(misfit.sort().values[int((1.0 - share) * (len(misfit) - 1))])
+    deciding = float(np.sort(misfit)[int((1.0 - share) * (len(misfit) - 1))])
     if not deciding <= 1.0:
         model._warned_of_unfamiliar = True  # type: ignore[assignment]
         warnings.warn(

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3, ArrayView4, Axis};
+use ndarray::{Array2, Array4, ArrayView2, ArrayView3, ArrayView4, Axis};
 use rayon::prelude::*;
 
 use super::cell::{Cell, Scratch};
@@ -11,7 +11,7 @@ use super::frames::KeypointFrames;
 use super::sprite::{GoalTerms, Sprite};
 use crate::image::{GaussianBlur, OverHorizon};
 use crate::lanes::{Lanes, LANES};
-use crate::planner::{ActionSpace, Frames, WorldModel};
+use crate::planner::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel};
 use crate::{Error, Result};
 
 /// Learned dynamics whose planning cost is the pixel cost of the predicted frame.
@@ -22,6 +22,9 @@ use crate::{Error, Result};
 /// 2. The predicted frame is the start frame with its sprite moved to the new keypoint.
 /// 3. Its squared distance to the goal image, per pixel, has a closed form ([`Sprite`]), so no
 ///    frame is decoded.
+///
+/// Actions beyond the action box are taken as they are: the cell, which was trained within it,
+/// extrapolates.
 #[derive(Clone, Debug)]
 pub struct KeypointWorld {
     cell: Arc<Cell>,
@@ -203,7 +206,7 @@ impl WorldModel for KeypointWorld {
         &self,
         starts: &KeypointFrames,
         goals: &KeypointFrames,
-        actions: Array4<f32>,
+        Candidates { actions, .. }: Candidates,
     ) -> Result<Array2<f32>> {
         self.check("starts", starts)?;
         self.check("goals", goals)?;
@@ -241,7 +244,7 @@ impl WorldModel for KeypointWorld {
         &self,
         start: &KeypointFrames,
         goals: &KeypointFrames,
-        actions: Array3<f32>,
+        SharedCandidates { actions, .. }: SharedCandidates,
     ) -> Option<Result<Array2<f32>>> {
         Some(self.shared_costs(start, goals, actions.view()))
     }

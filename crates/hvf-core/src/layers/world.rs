@@ -2,9 +2,7 @@
 
 use std::sync::Arc;
 
-use ndarray::{
-    Array2, Array3, Array4, Array5, ArrayView2, ArrayView3, ArrayView4, ArrayViewMut2, Axis,
-};
+use ndarray::{Array2, Array4, Array5, ArrayView2, ArrayView3, ArrayView4, ArrayViewMut2, Axis};
 use rayon::prelude::*;
 
 use super::cell::{Cell, Moving, Scratch};
@@ -14,7 +12,7 @@ use super::goals::{Blur, Comparison, Goals};
 use super::painter::{Canvas, Painter, Scene};
 use crate::image::{GaussianBlur, OverHorizon};
 use crate::lanes::{Lanes, LANES};
-use crate::planner::{ActionSpace, Frames, WorldModel};
+use crate::planner::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel};
 use crate::{Error, Result};
 
 /// Blocks of lanes that are rolled out together.
@@ -33,6 +31,9 @@ const CHUNK: usize = BLOCKS * LANES;
 ///
 /// Candidates go in blocks of 64; what one costs does not depend on its block, on the other
 /// goals it is compared with, or on the number of threads.
+///
+/// Actions beyond the action box are taken as they are: the cell, which was trained within it,
+/// extrapolates.
 #[derive(Clone, Debug)]
 pub struct LayerWorld {
     cell: Cell,
@@ -346,7 +347,7 @@ impl WorldModel for LayerWorld {
         &self,
         starts: &LayerFrames,
         goals: &LayerFrames,
-        actions: Array4<f32>,
+        Candidates { actions, .. }: Candidates,
     ) -> Result<Array2<f32>> {
         self.check("starts", starts)?;
         self.check("goals", goals)?;
@@ -376,7 +377,7 @@ impl WorldModel for LayerWorld {
         &self,
         start: &LayerFrames,
         goals: &LayerFrames,
-        actions: Array3<f32>,
+        SharedCandidates { actions, .. }: SharedCandidates,
     ) -> Option<Result<Array2<f32>>> {
         Some(self.shared_costs(start, goals, actions.view()))
     }

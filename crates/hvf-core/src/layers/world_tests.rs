@@ -53,7 +53,7 @@ proptest! {
         let frames = frames(&world, 4, seed);
         let (starts, goals) = (frames.select(&[0, 1]).unwrap(), frames.select(&[2, 3]).unwrap());
         let actions = batch([2, 5, 3, 3], seed);
-        let found = world.rollout_costs(&starts, &goals, actions.clone()).unwrap();
+        let found = world.rollout_costs(&starts, &goals, actions.clone().into()).unwrap();
         let expected = slow_costs(&world, &starts, &goals, &actions, blur);
         for (found, expected) in found.iter().zip(&expected) {
             prop_assert!(
@@ -75,7 +75,7 @@ proptest! {
         let starts = goals.select(&[1; 3]).unwrap();
         let one = batch([1, candidates, 4, 3], seed).index_axis_move(Axis(0), 0);
         let all = Array4::from_shape_fn((3, candidates, 4, 3), |(_, d, h, a)| one[[d, h, a]]);
-        let separate = world.rollout_costs(&starts, &goals, all).unwrap();
+        let separate = world.rollout_costs(&starts, &goals, all.into()).unwrap();
         let start = starts.select(&[0]).unwrap();
         let shared = world.shared_costs(&start, &goals, one.view()).unwrap();
         prop_assert_eq!(&separate, &shared);
@@ -138,16 +138,22 @@ fn foreign_frames_and_actions_are_refused_by_name() {
     let mine = frames(&one, 2, 1);
     let said = |error: Error| error.to_string();
     let good = || batch([2, 3, 2, 3], 1);
-    assert!(said(other.rollout_costs(&mine, &mine, good()).unwrap_err()).starts_with("starts: "));
+    assert!(
+        said(other.rollout_costs(&mine, &mine, good().into()).unwrap_err()).starts_with("starts: ")
+    );
     let theirs = frames(&other, 2, 1);
-    assert!(said(one.rollout_costs(&mine, &theirs, good()).unwrap_err()).starts_with("goals: "));
+    assert!(
+        said(one.rollout_costs(&mine, &theirs, good().into()).unwrap_err()).starts_with("goals: ")
+    );
     let wrong = batch([1, 3, 2, 3], 1);
-    assert!(said(one.rollout_costs(&mine, &mine, wrong).unwrap_err()).starts_with("actions: "));
+    assert!(
+        said(one.rollout_costs(&mine, &mine, wrong.into()).unwrap_err()).starts_with("actions: ")
+    );
     let narrow = actions(&[3, 2, 2], 1).into_dimensionality::<Ix3>().unwrap();
     let start = mine.select(&[0]).unwrap();
     let error = one.shared_costs(&start, &mine, narrow.view()).unwrap_err();
     assert!(said(error).starts_with("actions: "));
-    assert!(one.rollout_costs(&mine, &mine, good()).is_ok());
+    assert!(one.rollout_costs(&mine, &mine, good().into()).is_ok());
 }
 
 #[test]
@@ -156,7 +162,7 @@ fn no_candidates_no_steps_and_no_problems_cost_nothing() {
     let some = frames(&world, 2, 1);
     let none = some.select(&[]).unwrap();
     let costs = |frames: &LayerFrames, shape| {
-        world.rollout_costs(frames, frames, Array4::zeros(shape)).unwrap()
+        world.rollout_costs(frames, frames, Array4::zeros(shape).into()).unwrap()
     };
     assert_eq!(costs(&none, (0, 4, 3, 3)).dim(), (0, 4));
     assert_eq!(costs(&some, (2, 0, 3, 3)).dim(), (2, 0));

@@ -1,6 +1,6 @@
 //! The maze as a world model: its true simulator, its renderer and the pixel cost.
 
-use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3, Axis};
+use ndarray::{Array2, ArrayView2, ArrayView3, Axis};
 use rayon::prelude::*;
 
 use super::agent_cost::{AgentCost, GoalTerms, Patch};
@@ -9,7 +9,7 @@ use super::geometry::{FreeSpace, State};
 use super::physics::{step_within, ACTION_LIMIT};
 use super::render::{Renderer, IMAGE_SIZE};
 use crate::image::{GaussianBlur, OverHorizon};
-use crate::planner::{ActionSpace, Frames, WorldModel};
+use crate::planner::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel};
 use crate::{Error, Result};
 
 /// Candidates that a thread takes at a time.
@@ -38,7 +38,7 @@ impl Default for MazeWorldConfig {
 /// The planning cost is the pixel cost between the frame that the simulator and the renderer
 /// would give and the goal image. It is computed without drawing the frame and equals
 /// [`paired_costs`](crate::image::paired_costs) of the drawn frame: bit for bit without blur, to
-/// 1e-5 with.
+/// 1e-5 with. Actions beyond the action box count as the nearest within, as in the environment.
 ///
 /// # Example
 /// ```
@@ -51,7 +51,7 @@ impl Default for MazeWorldConfig {
 /// let starts = MazeFrames::from_states(vec![episode.start], 64);
 /// let goals = MazeFrames::from_states(vec![episode.goal()], 64);
 /// let stay = Array4::zeros((1, 10, 5, 2));
-/// assert_eq!(world.rollout_costs(&starts, &goals, stay)?.dim(), (1, 10));
+/// assert_eq!(world.rollout_costs(&starts, &goals, stay.into())?.dim(), (1, 10));
 /// # Ok::<(), hvf_core::Error>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -178,7 +178,7 @@ impl WorldModel for MazeWorld {
         &self,
         starts: &MazeFrames,
         goals: &MazeFrames,
-        actions: Array4<f32>,
+        Candidates { actions, .. }: Candidates,
     ) -> Result<Array2<f32>> {
         let (problems, candidates, steps, dim) = actions.dim();
         check_count("starts", starts, problems)?;
@@ -214,7 +214,7 @@ impl WorldModel for MazeWorld {
         &self,
         start: &MazeFrames,
         goals: &MazeFrames,
-        actions: Array3<f32>,
+        SharedCandidates { actions, .. }: SharedCandidates,
     ) -> Option<Result<Array2<f32>>> {
         Some(self.shared_costs(start, goals, actions.view()))
     }

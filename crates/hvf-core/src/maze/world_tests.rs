@@ -101,7 +101,7 @@ proptest! {
         let actions = actions((3, 5, 3), seed);
         for goals in kinds_of_goals(&world, 3, seed) {
             let frames = MazeFrames::from_states(starts.clone(), size);
-            let costs = world.rollout_costs(&frames, &goals, actions.clone()).unwrap();
+            let costs = world.rollout_costs(&frames, &goals, actions.clone().into()).unwrap();
             prop_assert_eq!(costs, slow_costs(&world, &starts, &goals, &actions));
         }
     }
@@ -118,7 +118,7 @@ proptest! {
         let actions = actions((3, 4, 2), seed);
         for goals in kinds_of_goals(&world, 3, seed) {
             let frames = MazeFrames::from_states(starts.clone(), size);
-            let costs = world.rollout_costs(&frames, &goals, actions.clone()).unwrap();
+            let costs = world.rollout_costs(&frames, &goals, actions.clone().into()).unwrap();
             let expected = slow_costs(&world, &starts, &goals, &actions);
             let typical = expected.mean().unwrap();
             for (cost, expected) in costs.iter().zip(&expected) {
@@ -141,7 +141,7 @@ fn sharing_rollouts_changes_no_bit() {
                     .shared_rollout_costs(
                         &start,
                         &goals,
-                        candidates.index_axis(Axis(0), 0).to_owned(),
+                        candidates.index_axis(Axis(0), 0).to_owned().into(),
                     )
                     .unwrap()
                     .unwrap();
@@ -149,7 +149,7 @@ fn sharing_rollouts_changes_no_bit() {
                     .rollout_costs(
                         &start.select(&[0; 7]).unwrap(),
                         &goals,
-                        candidates.broadcast((7, 12, 3, 2)).unwrap().to_owned(),
+                        candidates.broadcast((7, 12, 3, 2)).unwrap().to_owned().into(),
                     )
                     .unwrap();
                 assert_eq!(shared, apart);
@@ -165,7 +165,9 @@ fn costs_do_not_depend_on_the_number_of_threads() {
     let (starts, goals) = (MazeFrames::from_states(starts, 64), MazeFrames::from_states(goals, 64));
     let costs = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| world.rollout_costs(&starts, &goals, actions((9, 70, 3), 4)).unwrap())
+        pool.install(|| {
+            world.rollout_costs(&starts, &goals, actions((9, 70, 3), 4).into()).unwrap()
+        })
     };
     assert_eq!(costs(1), costs(3));
 }
@@ -176,8 +178,9 @@ fn a_goal_that_is_reached_costs_nothing() {
         let world = world(64, blur, OverHorizon::Last);
         let goal = MazeFrames::from_states(problems(1, 8).1, 64);
         let stay = Array4::zeros((1, 1, 1, 2));
-        let cost = world.rollout_costs(&goal, &goal, stay.clone()).unwrap()[[0, 0]];
-        let far = world.rollout_costs(&goal, &MazeFrames::from_states(problems(1, 8).0, 64), stay);
+        let cost = world.rollout_costs(&goal, &goal, stay.clone().into()).unwrap()[[0, 0]];
+        let far =
+            world.rollout_costs(&goal, &MazeFrames::from_states(problems(1, 8).0, 64), stay.into());
         assert!(cost <= 1e-6 * far.unwrap()[[0, 0]], "{cost}");
     }
 }
@@ -205,16 +208,20 @@ fn bad_input_names_the_argument() {
     let frames = MazeFrames::from_states(problems(2, 0).0, 64);
     let said = |result: Result<Array2<f32>>| result.unwrap_err().to_string();
     let one = frames.select(&[1]).unwrap();
-    assert!(said(world.rollout_costs(&one, &frames, actions((2, 3, 1), 0))).starts_with("starts"));
-    assert!(said(world.rollout_costs(&frames, &one, actions((2, 3, 1), 0))).starts_with("goals"));
+    assert!(said(world.rollout_costs(&one, &frames, actions((2, 3, 1), 0).into()))
+        .starts_with("starts"));
+    assert!(
+        said(world.rollout_costs(&frames, &one, actions((2, 3, 1), 0).into())).starts_with("goals")
+    );
     let wide = Array4::zeros((2, 3, 1, 3));
-    assert!(said(world.rollout_costs(&frames, &frames, wide)).starts_with("actions"));
+    assert!(said(world.rollout_costs(&frames, &frames, wide.into())).starts_with("actions"));
     let mut nan = actions((2, 3, 1), 0);
     nan[[1, 2, 0, 1]] = f32::NAN;
-    assert!(said(world.rollout_costs(&frames, &frames, nan)).starts_with("actions"));
+    assert!(said(world.rollout_costs(&frames, &frames, nan.into())).starts_with("actions"));
     let small =
         MazeFrames::from_images(&Renderer::new(32).unwrap(), &[0; 2 * 32 * 32 * 3]).unwrap();
-    assert!(said(world.rollout_costs(&frames, &small, actions((2, 3, 1), 0))).starts_with("frames"));
+    assert!(said(world.rollout_costs(&frames, &small, actions((2, 3, 1), 0).into()))
+        .starts_with("frames"));
     assert!(frames.select(&[2]).is_err());
     assert!(world.observe(&[0; 5]).is_err());
     for blur in [-1.0, f64::NAN] {

@@ -20,6 +20,16 @@ use crate::{Error, Result};
 /// Most values of one problem's candidates: 1 GiB.
 pub(super) const MAX_VALUES: usize = 1 << 28;
 
+/// Which iterations the answer may come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum BestOf {
+    /// All: the candidate with the lowest cost that was ever seen.
+    #[default]
+    All,
+    /// The last that was run, kept elites included: what the authors' released code answers.
+    Last,
+}
+
 /// Budget of one optimisation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CemConfig {
@@ -33,12 +43,21 @@ pub struct CemConfig {
     pub min_variance: f64,
     /// Best candidates that compete again in the next iteration, with the cost they had.
     pub keep_elites: usize,
+    /// Which iterations the answer may come from.
+    pub best: BestOf,
 }
 
 impl Default for CemConfig {
     /// The paper's maze: 200 samples, 40 elites, 5 iterations, variance 1e-3.
     fn default() -> Self {
-        Self { samples: 200, elites: 40, iterations: 5, min_variance: 1e-3, keep_elites: 0 }
+        Self {
+            samples: 200,
+            elites: 40,
+            iterations: 5,
+            min_variance: 1e-3,
+            keep_elites: 0,
+            best: BestOf::All,
+        }
     }
 }
 
@@ -141,7 +160,8 @@ pub struct IterationStats {
 /// What the optimisation found for one problem.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solution {
-    /// Best candidate of all iterations, `[N]`; among equals, the earliest.
+    /// Best candidate of the iterations that [`CemConfig::best`] says, `[N]`; among equals, the
+    /// earliest.
     pub candidate: Vec<f32>,
     /// Its cost.
     pub cost: f32,
@@ -310,12 +330,11 @@ impl<'a> Problem<'a> {
     }
 
     fn draw(&self, sampling: &Sampling<'_>, iteration: usize, samples: &[u32], rows: &mut [f32]) {
-        let (stream, from): (Stream, Draw<'_>) = if iteration == 0 {
-            (Stream { problem: 0, ..self.stream }, self.initial.draw(sampling.bounds))
-        } else {
-            (self.stream, self.refitted.draw(sampling.bounds))
+        let from: Draw<'_> = match iteration {
+            0 => self.initial.draw(sampling.bounds),
+            _ => self.refitted.draw(sampling.bounds),
         };
-        draw(stream, iteration, samples, from, rows);
+        draw(self.stream.in_iteration(iteration), iteration, samples, from, rows);
     }
 
     /// Elites, best so far, refit: the part of an iteration after the costs are known.
@@ -328,7 +347,11 @@ impl<'a> Problem<'a> {
             .collect();
         let elites = self.elite_candidates(sampling, iteration, &ranked);
 
-        if self.solution.candidate.is_empty() || elite_costs[0] < self.solution.cost {
+        let replaces = match sampling.config.best {
+            BestOf::All => elite_costs[0] < self.solution.cost,
+            BestOf::Last => true,
+        };
+        if replaces || self.solution.candidate.is_empty() {
             self.solution.candidate = elites[..sampling.dimensions].to_vec();
             self.solution.cost = elite_costs[0];
         }

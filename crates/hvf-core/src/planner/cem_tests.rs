@@ -59,8 +59,14 @@ fn finds_the_minimum_of_a_quadratic_and_the_corner_of_the_box() {
 /// The whole method, written again with plain loops over the candidates that the objective saw.
 #[test]
 fn elites_refit_and_statistics_equal_a_plain_reimplementation() {
-    let config =
-        CemConfig { samples: 30, elites: 7, iterations: 4, min_variance: 0.0, keep_elites: 3 };
+    let config = CemConfig {
+        samples: 30,
+        elites: 7,
+        iterations: 4,
+        min_variance: 0.0,
+        keep_elites: 3,
+        ..CemConfig::default()
+    };
     let (bounds, initial) = box_of(2, 2.0);
     let target = vec![0.3, -0.4];
     let mut objective = Quadratic::new(vec![target.clone()]);
@@ -155,7 +161,7 @@ fn once(costs: &[f32], elites: usize) -> Result<Solution> {
         elites,
         iterations: 1,
         min_variance: 0.0,
-        keep_elites: 0,
+        ..CemConfig::default()
     };
     let (bounds, initial) = box_of(1, 1.0);
     let mut objective = Table(costs.to_vec());
@@ -202,13 +208,58 @@ fn more_samples_than_memory_could_hold_are_refused() {
 
 #[test]
 fn kept_elites_make_the_best_cost_of_an_iteration_monotone() {
-    let config =
-        CemConfig { samples: 10, elites: 5, keep_elites: 1, iterations: 12, min_variance: 0.0 };
+    let config = CemConfig {
+        samples: 10,
+        elites: 5,
+        keep_elites: 1,
+        iterations: 12,
+        min_variance: 0.0,
+        ..CemConfig::default()
+    };
     let (bounds, initial) = box_of(6, 2.0);
     let mut objective = Quadratic::new(vec![vec![0.1; 6]]);
     let solution =
         minimise(&config, &bounds, &[initial], &[stream(3)], &mut objective).unwrap().remove(0);
     assert!(solution.history.windows(2).all(|pair| pair[1].best <= pair[0].best));
+}
+
+proptest! {
+    #[test]
+    fn the_answer_may_be_of_the_last_iteration_only(
+        problem: u64,
+        keep_elites in 0usize..4,
+        iterations in 1usize..6,
+    ) {
+        let last = CemConfig {
+            samples: 12,
+            elites: 4,
+            iterations,
+            min_variance: 0.02,
+            keep_elites,
+            best: BestOf::Last,
+        };
+        let (bounds, initial) = box_of(2, 2.0);
+        let initial = [initial];
+        let solved = |config: &CemConfig| {
+            let mut objective = Quadratic::new(vec![vec![0.3, 5.0]]);
+            let stream = [stream(problem)];
+            let solution = minimise(config, &bounds, &initial, &stream, &mut objective);
+            (solution.unwrap().remove(0), objective.seen)
+        };
+        let (answer, seen) = solved(&last);
+        let (over_all, _) = solved(&CemConfig { best: BestOf::All, ..last });
+        prop_assert_eq!(&answer.history, &over_all.history);
+        if keep_elites > 0 {
+            // The best of all is among those kept.
+            prop_assert_eq!(answer, over_all);
+        } else {
+            let cost = |row: &[f32]| (row[0] - 0.3).powi(2) + (row[1] - 5.0).powi(2);
+            let rows = seen.last().unwrap().2.rows().into_iter().map(|row| row.to_vec());
+            let best = rows.min_by(|a, b| cost(a).partial_cmp(&cost(b)).unwrap()).unwrap();
+            prop_assert_eq!(answer.cost, cost(&best));
+            prop_assert_eq!(&answer.candidate, &best);
+        }
+    }
 }
 
 #[test]
@@ -236,7 +287,7 @@ proptest! {
         per_call in 1usize..9,
     ) {
         let config =
-            CemConfig { samples: 40, elites: 8, iterations: 4, min_variance: 0.02, keep_elites: 2 };
+            CemConfig { samples: 40, elites: 8, iterations: 4, min_variance: 0.02, keep_elites: 2, ..CemConfig::default() };
         let (bounds, initial) = box_of(3, 2.0);
         let target = |problem: usize| vec![problem as f32 * 0.3 - 1.0; 3];
         let mut all = Quadratic::new((0..7).map(target).collect());

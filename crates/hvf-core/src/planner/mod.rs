@@ -12,10 +12,13 @@ pub mod mpc;
 pub mod philox;
 #[cfg(test)]
 mod point_mass;
+#[cfg(test)]
+mod protocol_tests;
+mod rollouts;
 pub mod sampler;
 pub mod search;
 
-pub use cem::{CemConfig, IterationStats};
-pub use model::{ActionSpace, Frames, SubgoalModel, WorldModel};
+pub use cem::{BestOf, CemConfig, IterationStats};
+pub use model::{ActionSpace, Candidates, Frames, SharedCandidates, SubgoalModel, WorldModel};
 pub use mpc::{ActionInitial, Interrupt, MpcConfig, Plan, Problems};
 pub use search::{search, HvfConfig, Reduction, SearchResult, SearchStats};

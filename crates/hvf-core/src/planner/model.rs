@@ -3,7 +3,7 @@
 //! Letters in shapes: `B` problems, `M` subgoal samples, `K` subgoals, `L` latent dimensions,
 //! `D` candidates per problem, `H` time steps, `A` action dimensions.
 
-use ndarray::{Array2, Array3, Array4};
+use ndarray::{Array1, Array2, Array3, Array4};
 
 use crate::{Error, Result};
 
@@ -77,6 +77,42 @@ pub trait Frames: Clone {
     fn select(&self, index: &[usize]) -> Result<Self>;
 }
 
+/// What the planner wants the costs of, one set of candidates per problem.
+///
+/// The memory is the model's own: it may keep it or overwrite it, since the planner draws its
+/// elites again from their counters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidates {
+    /// Actions, `[B, D, H, A]`, in standard layout. Within the action box, unless
+    /// [`MpcConfig::clip`](super::MpcConfig::clip) is off; what a larger one does is the model's
+    /// to say.
+    pub actions: Array4<f32>,
+    /// A seed for the noise of every candidate's rollout, `[B, D]`, none negative, where the
+    /// model [asked for them](WorldModel::uses_seeds).
+    pub seeds: Option<Array2<i64>>,
+}
+
+/// What the planner wants the costs of, where all problems share the candidates.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SharedCandidates {
+    /// Actions, `[D, H, A]`, in standard layout.
+    pub actions: Array3<f32>,
+    /// Seeds, `[D]`, where the model asked for them.
+    pub seeds: Option<Array1<i64>>,
+}
+
+impl From<Array4<f32>> for Candidates {
+    fn from(actions: Array4<f32>) -> Self {
+        Self { actions, seeds: None }
+    }
+}
+
+impl From<Array3<f32>> for SharedCandidates {
+    fn from(actions: Array3<f32>) -> Self {
+        Self { actions, seeds: None }
+    }
+}
+
 /// Predicts what actions lead to, and says how far that is from a goal.
 pub trait WorldModel {
     /// The frames that this model starts from and is scored against.
@@ -92,11 +128,32 @@ pub trait WorldModel {
         1 << 16
     }
 
+    /// Whether [`Candidates`] should come with seeds. A stochastic model draws the noise of
+    /// candidate `d` of problem `b` from seed `[b, d]` and nothing else, so that its plans are as
+    /// reproducible as those of a deterministic one.
+    fn uses_seeds(&self) -> bool {
+        false
+    }
+
+    /// Frames that stand for `starts` (`[B]`, or `[1]` for all) and `goals[B]` in all further
+    /// calls for this plan; `None` to go on with those. Called once per
+    /// [`plan`](super::mpc::plan), before its first rollouts: the place for what depends on
+    /// start and goal only, such as an encoded goal, and would be done anew in every iteration.
+    /// Must give as many starts and as many goals as it got; goal `b` may hold what depends on
+    /// the pair `b`.
+    ///
+    /// # Errors
+    /// Whatever keeps the model from answering.
+    fn prepare(
+        &self,
+        _starts: &Self::Frames,
+        _goals: &Self::Frames,
+    ) -> Result<Option<(Self::Frames, Self::Frames)>> {
+        Ok(None)
+    }
+
     /// Planning cost of every candidate: `starts[B]`, `goals[B]`, `actions[B, D, H, A]` to
     /// `costs[B, D]`. A cost of NaN ranks last.
-    ///
-    /// The actions (standard layout) are the model's own from here on: it may keep them or
-    /// overwrite them, since the planner draws its elites again from their counters.
     ///
     /// # Errors
     /// Whatever keeps the model from answering.
@@ -104,7 +161,7 @@ pub trait WorldModel {
         &self,
         starts: &Self::Frames,
         goals: &Self::Frames,
-        actions: Array4<f32>,
+        candidates: Candidates,
     ) -> Result<Array2<f32>>;
 
     /// The same costs where all problems share one start and one set of candidates:
@@ -115,7 +172,7 @@ pub trait WorldModel {
         &self,
         _start: &Self::Frames,
         _goals: &Self::Frames,
-        _actions: Array3<f32>,
+        _candidates: SharedCandidates,
     ) -> Option<Result<Array2<f32>>> {
         None
     }

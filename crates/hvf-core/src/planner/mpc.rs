@@ -1,13 +1,12 @@
 //! Visual model-predictive control: the cross-entropy method over actions, with a world model's
 //! predicted distance to the goal image as cost (paper, section 3 and algorithm 1).
 
-use std::borrow::Cow;
+use ndarray::{Array2, ArrayView2, ArrayView3};
 
-use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3};
-
-use super::cem::{minimise, Call, CemConfig, IterationStats, Objective, MAX_VALUES};
+use super::cem::{minimise, CemConfig, IterationStats, MAX_VALUES};
 use super::distribution::{Bounds, Initial};
 use super::model::{ActionSpace, Frames, WorldModel};
+use super::rollouts::{hold, Rollouts};
 use super::sampler::{Stream, MAX_DIMENSIONS};
 use crate::{Error, Result};
 
@@ -45,6 +44,10 @@ pub struct MpcConfig {
     pub initial: ActionInitial,
     /// Standard deviation around a warm start, in units of the action.
     pub warm_start_std: f64,
+    /// Whether candidates drawn from a Gaussian (a refitted one, a normal first iteration, around
+    /// a warm start) are clipped to the action box. The authors' released code never clips: its
+    /// environment does, and its model sees actions as large as they are drawn.
+    pub clip: bool,
     /// Budget (`D`, `D*`, iterations).
     pub cem: CemConfig,
 }
@@ -57,6 +60,7 @@ impl Default for MpcConfig {
             action_repeat: 1,
             initial: ActionInitial::Uniform { low: None, high: None },
             warm_start_std: 1.0,
+            clip: true,
             cem: CemConfig::default(),
         }
     }
@@ -153,11 +157,21 @@ impl MpcConfig {
                     plan[[shifted.min(self.horizon - 1), dimension]]
                 });
                 let average = held.sum::<f32>() / self.action_repeat as f32;
-                mean.push(average.clamp(space.low()[dimension], space.high()[dimension]));
+                let (low, high) = (space.low()[dimension], space.high()[dimension]);
+                mean.push(if self.clip { average.clamp(low, high) } else { average });
             }
         }
         let std = vec![self.warm_start_std as f32; mean.len()];
         Initial::Normal { mean, std }
+    }
+
+    /// What candidates are clipped to.
+    fn bounds(&self, space: &ActionSpace) -> Bounds {
+        let decisions = self.decisions();
+        if !self.clip {
+            return Bounds::unbounded(decisions * space.dim());
+        }
+        Bounds { low: space.low().repeat(decisions), high: space.high().repeat(decisions) }
     }
 }
 
@@ -188,11 +202,13 @@ pub struct Plan {
     pub history: Vec<IterationStats>,
 }
 
-/// Plans for every problem: the candidate with the lowest predicted cost of all iterations.
+/// Plans for every problem: the candidate with the lowest predicted cost of all iterations, or of
+/// the last one ([`CemConfig::best`]).
 ///
 /// # Errors
-/// A setting out of range, batches of different sizes, an error of the model, a problem whose
-/// costs are all NaN, or the error that `interrupt` gives.
+/// A setting out of range, batches of different sizes, an error of the model, batches of other
+/// sizes out of its [`prepare`](WorldModel::prepare), a problem whose costs are all NaN, or the
+/// error that `interrupt` gives.
 pub fn plan<W: WorldModel>(
     config: &MpcConfig,
     world: &W,
@@ -206,10 +222,14 @@ pub fn plan<W: WorldModel>(
         None => vec![config.initial_in(space)?],
         Some(plans) => plans.outer_iter().map(|plan| config.initial_around(plan, space)).collect(),
     };
-    let decisions = config.decisions();
-    let bounds =
-        Bounds { low: space.low().repeat(decisions), high: space.high().repeat(decisions) };
-    let mut objective = Rollouts { config, world, problems, interrupt };
+    let bounds = config.bounds(space);
+    let prepared = prepared(world, problems)?;
+    let (starts, goals) = match &prepared {
+        Some((starts, goals)) => (starts, goals),
+        None => (problems.starts, problems.goals),
+    };
+    let mut objective =
+        Rollouts { config, world, problems: Problems { starts, goals, ..*problems }, interrupt };
     let solutions = minimise(&config.cem, &bounds, &initial, problems.streams, &mut objective)?;
     Ok(solutions
         .into_iter()
@@ -225,17 +245,28 @@ pub fn plan<W: WorldModel>(
         .collect())
 }
 
+/// What the model made of starts and goals, if anything.
+fn prepared<W: WorldModel>(
+    world: &W,
+    problems: &Problems<'_, W::Frames>,
+) -> Result<Option<(W::Frames, W::Frames)>> {
+    let prepared = world.prepare(problems.starts, problems.goals)?;
+    if let Some((starts, goals)) = &prepared {
+        let expected = (problems.starts.len(), problems.goals.len());
+        let got = (starts.len(), goals.len());
+        if got != expected {
+            return Err(Error::Model(format!(
+                "prepare must give as many frames as it got, {} starts and {} goals, got {} and {}",
+                expected.0, expected.1, got.0, got.1
+            )));
+        }
+    }
+    Ok(prepared)
+}
+
 /// A corner of the initial box, or of the action box where it is not given.
 fn corner(given: Option<&[f64]>, action_box: &[f32]) -> Vec<f32> {
     given.map_or_else(|| action_box.to_vec(), |g| g.iter().map(|&value| value as f32).collect())
-}
-
-/// Every action `repeat` times: `[.., H / repeat, A]` to `[.., H, A]`.
-fn hold(actions: Vec<f32>, dim: usize, repeat: usize) -> Vec<f32> {
-    if repeat == 1 {
-        return actions;
-    }
-    actions.chunks_exact(dim).flat_map(|action| action.repeat(repeat)).collect()
 }
 
 fn check_problems<F: Frames>(
@@ -294,71 +325,6 @@ fn check_problems<F: Frames>(
         }
     }
     Ok(())
-}
-
-/// The world model's costs as an objective.
-struct Rollouts<'a, 'p, W: WorldModel> {
-    config: &'a MpcConfig,
-    world: &'a W,
-    problems: &'a Problems<'p, W::Frames>,
-    interrupt: Interrupt<'a>,
-}
-
-/// The frames of `problems` (one frame stands for all), without a copy where that is the batch.
-fn selected<'f, F: Frames>(frames: &'f F, problems: &[usize]) -> Result<Cow<'f, F>> {
-    if frames.len() == problems.len() {
-        Ok(Cow::Borrowed(frames))
-    } else if frames.len() == 1 {
-        Ok(Cow::Owned(frames.select(&vec![0; problems.len()])?))
-    } else {
-        Ok(Cow::Owned(frames.select(problems)?))
-    }
-}
-
-impl<W: WorldModel> Objective for Rollouts<'_, '_, W> {
-    fn problems_per_call(&self) -> usize {
-        self.world.max_candidates() / self.config.cem.samples
-    }
-
-    fn costs(&mut self, call: Call<'_>, candidates: Array3<f32>) -> Result<Array2<f32>> {
-        (self.interrupt)()?;
-        let (problems, samples, _) = candidates.dim();
-        let dim = self.world.action_space().dim();
-        let held = hold(candidates.into_raw_vec_and_offset().0, dim, self.config.action_repeat);
-        let actions = Array4::from_shape_vec((problems, samples, self.config.horizon, dim), held)
-            .expect("a candidate holds horizon / action_repeat actions");
-        let Problems { starts, goals, .. } = *self.problems;
-        let starts = selected(starts, call.problems)?;
-        let goals = selected(goals, call.problems)?;
-        self.world.rollout_costs(&starts, &goals, actions)
-    }
-
-    fn shared_costs(
-        &mut self,
-        call: Call<'_>,
-        candidates: &Array2<f32>,
-    ) -> Option<Result<Array2<f32>>> {
-        if !self.problems.share_rollouts || self.problems.starts.len() != 1 {
-            return None;
-        }
-        if let Err(stop) = (self.interrupt)() {
-            return Some(Err(stop));
-        }
-        let goals = match selected(self.problems.goals, call.problems) {
-            Ok(goals) => goals,
-            Err(error) => return Some(Err(error)),
-        };
-        let dim = self.world.action_space().dim();
-        let held = hold(candidates.iter().copied().collect(), dim, self.config.action_repeat);
-        let shape = (candidates.nrows(), self.config.horizon, dim);
-        let actions = Array3::from_shape_vec(shape, held)
-            .expect("a candidate holds horizon / action_repeat actions");
-        self.world.shared_rollout_costs(self.problems.starts, &goals, actions)
-    }
-
-    fn describe(&self, problem: usize) -> String {
-        format!("rollout_costs for {}", (self.problems.describe)(problem))
-    }
 }
 
 #[cfg(test)]

@@ -81,6 +81,50 @@ fn a_warm_start_continues_the_shifted_plan() {
     }
 }
 
+/// A world whose box is so wide that nothing is clipped, with the box of `PointMass` for the first
+/// iteration where that is uniform.
+fn wide(config: &MpcConfig) -> (PointMass, MpcConfig) {
+    let actions = ActionSpace::new(vec![-1e3; 2], vec![1e3; 2]).unwrap();
+    let initial = match &config.initial {
+        ActionInitial::Uniform { .. } => {
+            ActionInitial::Uniform { low: Some(vec![-1.0; 2]), high: Some(vec![1.0; 2]) }
+        }
+        normal => normal.clone(),
+    };
+    (PointMass { actions, ..PointMass::new() }, MpcConfig { initial, clip: true, ..config.clone() })
+}
+
+#[test]
+fn without_clipping_the_box_matters_to_the_first_uniform_iteration_only() {
+    let goals = Points(vec![[9.0, -7.0], [0.5, 30.0], [0.1, 0.2]]);
+    let starts = Points(vec![[0.0; 2]]);
+    let streams = [stream(1, 0), stream(1, 1), stream(2, 5)];
+    let last = Array3::from_shape_fn((3, 6, 2), |(b, h, a)| b as f32 + h as f32 * 0.7 - a as f32);
+    for initial in [
+        ActionInitial::Uniform { low: None, high: None },
+        ActionInitial::Normal { mean: 0.5, std: 2.0 },
+    ] {
+        for warm_start in [None, Some(&last)] {
+            let config = MpcConfig {
+                horizon: 6,
+                action_repeat: 2,
+                initial: initial.clone(),
+                clip: false,
+                ..MpcConfig::default()
+            };
+            let run = |config: &MpcConfig, world: &PointMass| {
+                solve(config, world, &starts, &goals, &streams, warm_start, true).unwrap()
+            };
+            let free = run(&config, &PointMass::new());
+            let (world, wide) = wide(&config);
+            assert_eq!(free, run(&wide, &world));
+            assert!(free[0].actions.iter().any(|action| action.abs() > 1.0));
+            let clipped = run(&MpcConfig { clip: true, ..config }, &PointMass::new());
+            assert!(clipped[0].actions.iter().all(|action| action.abs() <= 1.0));
+        }
+    }
+}
+
 #[test]
 fn one_start_and_one_seed_share_the_first_rollouts() {
     let config = MpcConfig::default();

@@ -4,9 +4,9 @@
 
 use std::cell::{Cell, RefCell};
 
-use ndarray::{Array2, Array3, Array4, ArrayView2};
+use ndarray::{Array2, Array3, ArrayView2};
 
-use super::model::{ActionSpace, Frames, SubgoalModel, WorldModel};
+use super::model::{ActionSpace, Candidates, Frames, SharedCandidates, SubgoalModel, WorldModel};
 use crate::{Error, Result};
 
 /// Positions in the plane.
@@ -36,6 +36,14 @@ pub struct PointMass {
     pub shares: bool,
     /// Cost wherever the goal has this first coordinate.
     pub nan_at: Option<f32>,
+    /// Adds a number drawn from its seed to every candidate's cost.
+    pub noisy: bool,
+    /// Mirrors goals in `prepare`, and again in every cost.
+    pub prepares: bool,
+    /// Frames that `prepare` gives beyond those it got.
+    pub prepares_too_many: usize,
+    /// Starts and goals of every `prepare`.
+    pub prepared: RefCell<Vec<(usize, usize)>>,
     /// Rollouts (candidates) and calls so far.
     pub rollouts: Cell<usize>,
     pub calls: Cell<usize>,
@@ -48,6 +56,10 @@ impl PointMass {
             max_candidates: 1 << 16,
             shares: true,
             nan_at: None,
+            noisy: false,
+            prepares: false,
+            prepares_too_many: 0,
+            prepared: RefCell::new(Vec::new()),
             rollouts: Cell::new(0),
             calls: Cell::new(0),
         }
@@ -65,10 +77,33 @@ impl PointMass {
         (position[0] - goal[0]).powi(2) + (position[1] - goal[1]).powi(2)
     }
 
+    /// Cost of the candidate with `seed` towards a goal as `prepare` left it.
+    fn rolled(
+        &self,
+        start: [f32; 2],
+        goal: [f32; 2],
+        actions: ArrayView2<'_, f32>,
+        seed: Option<i64>,
+    ) -> f32 {
+        assert_eq!(seed.is_some(), self.noisy);
+        let goal = if self.prepares { mirrored(goal) } else { goal };
+        self.cost(start, goal, actions) + seed.map_or(0.0, noise)
+    }
+
     fn count(&self, rollouts: usize) {
         self.calls.set(self.calls.get() + 1);
         self.rollouts.set(self.rollouts.get() + rollouts);
     }
+}
+
+/// The noise that belongs to a seed, in `[0, 1)`: its highest bits.
+pub fn noise(seed: i64) -> f32 {
+    assert!(seed >= 0);
+    (seed >> 39) as f32 / (1 << 24) as f32
+}
+
+fn mirrored(point: [f32; 2]) -> [f32; 2] {
+    point.map(|x| -x)
 }
 
 impl WorldModel for PointMass {
@@ -82,11 +117,25 @@ impl WorldModel for PointMass {
         self.max_candidates
     }
 
+    fn uses_seeds(&self) -> bool {
+        self.noisy
+    }
+
+    fn prepare(&self, starts: &Points, goals: &Points) -> Result<Option<(Points, Points)>> {
+        if !self.prepares {
+            return Ok(None);
+        }
+        self.prepared.borrow_mut().push((starts.len(), goals.len()));
+        let mut prepared: Vec<[f32; 2]> = goals.0.iter().copied().map(mirrored).collect();
+        prepared.extend(vec![[0.0; 2]; self.prepares_too_many]);
+        Ok(Some((starts.clone(), Points(prepared))))
+    }
+
     fn rollout_costs(
         &self,
         starts: &Points,
         goals: &Points,
-        actions: Array4<f32>,
+        Candidates { actions, seeds }: Candidates,
     ) -> Result<Array2<f32>> {
         let (problems, samples, _, _) = actions.dim();
         assert_eq!((starts.len(), goals.len()), (problems, problems));
@@ -94,7 +143,8 @@ impl WorldModel for PointMass {
         self.count(problems * samples);
         Ok(Array2::from_shape_fn((problems, samples), |(b, d)| {
             let candidate = actions.slice(ndarray::s![b, d, .., ..]);
-            self.cost(starts.0[b], goals.0[b], candidate)
+            let seed = seeds.as_ref().map(|seeds| seeds[[b, d]]);
+            self.rolled(starts.0[b], goals.0[b], candidate, seed)
         }))
     }
 
@@ -102,7 +152,7 @@ impl WorldModel for PointMass {
         &self,
         start: &Points,
         goals: &Points,
-        actions: Array3<f32>,
+        SharedCandidates { actions, seeds }: SharedCandidates,
     ) -> Option<Result<Array2<f32>>> {
         if !self.shares {
             return None;
@@ -111,7 +161,8 @@ impl WorldModel for PointMass {
         self.count(samples);
         Some(Ok(Array2::from_shape_fn((goals.len(), samples), |(b, d)| {
             let candidate = actions.slice(ndarray::s![d, .., ..]);
-            self.cost(start.0[0], goals.0[b], candidate)
+            let seed = seeds.as_ref().map(|seeds| seeds[d]);
+            self.rolled(start.0[0], goals.0[b], candidate, seed)
         })))
     }
 }

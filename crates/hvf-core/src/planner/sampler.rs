@@ -1,4 +1,5 @@
-//! Candidates drawn from counters: uniform and normal, any subset of a problem's samples.
+//! Candidates drawn from counters: uniform and normal, any subset of a problem's samples; and
+//! seeds for models that draw numbers of their own.
 //!
 //! The value of dimension `d` of sample `n` depends on (seed, problem, iteration, n, d) only, so
 //! samples can be drawn in any order, on any thread, and again later. Only f32 additions,
@@ -42,6 +43,15 @@ pub struct Stream {
 }
 
 impl Stream {
+    /// The stream of one iteration: in iteration 0 all problems under one seed have the same, so
+    /// that they can share their candidates.
+    pub(super) fn in_iteration(self, iteration: usize) -> Self {
+        match iteration {
+            0 => Self { problem: 0, ..self },
+            _ => self,
+        }
+    }
+
     fn key(self) -> [u32; 2] {
         [self.seed as u32, (self.seed >> 32) as u32]
     }
@@ -70,8 +80,27 @@ pub enum Draw<'a> {
     },
 }
 
-/// Draws `samples` (their numbers, any subset, any order) of one problem and iteration into the
-/// rows of `out`, `[samples, N]`.
+/// Marks the counters of seeds: the numbers of samples stay below, so that no candidate is drawn
+/// from them.
+const SEED_COUNTER: u32 = 1 << 31;
+
+/// Fills `out` with a seed, from 0 to `2^63 - 1`, for each of the samples `0..out.len()` of one
+/// problem and iteration: a function of these and the stream only, as the candidates are, and
+/// unrelated to them.
+pub fn draw_seeds(stream: Stream, iteration: usize, out: &mut [i64]) {
+    debug_assert!(iteration < MAX_ITERATIONS && out.len() <= SEED_COUNTER as usize);
+    for (chunk, seeds) in out.chunks_mut(LANES).enumerate() {
+        let samples = std::array::from_fn(|lane| (chunk * LANES + lane) as u32 | SEED_COUNTER);
+        let words = random_words(stream, iteration as u32, 0, &samples);
+        for (lane, seed) in seeds.iter_mut().enumerate() {
+            let bits = u64::from(words[1][lane]) << 32 | u64::from(words[0][lane]);
+            *seed = (bits >> 1) as i64;
+        }
+    }
+}
+
+/// Draws `samples` (their numbers below 2^31, any subset, any order) of one problem and iteration
+/// into the rows of `out`, `[samples, N]`.
 pub fn draw(stream: Stream, iteration: usize, samples: &[u32], from: Draw<'_>, out: &mut [f32]) {
     if samples.is_empty() {
         return;

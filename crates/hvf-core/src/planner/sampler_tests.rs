@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use crate::planner::philox::philox;
 use proptest::prelude::*;
 
 const UNBOUNDED: ([f32; 1], [f32; 1]) = ([f32::NEG_INFINITY], [f32::INFINITY]);
@@ -184,5 +185,52 @@ proptest! {
         let from = Draw::Normal { mean: &[mean], std: &[std], low: &[-1.0], high: &[2.0] };
         draw(actions(seed, 0), 0, &numbers, from, &mut out);
         prop_assert!(out.iter().all(|v| (-1.0..=2.0).contains(v)));
+    }
+}
+
+#[test]
+fn seeds_are_blocks_of_counters_that_no_candidate_has() {
+    let stream =
+        Stream { seed: 0x0123_4567_89ab_cdef, purpose: Purpose::Latents, problem: 7 << 33 };
+    let mut seeds = [0; 40];
+    draw_seeds(stream, 3, &mut seeds);
+    for (sample, &seed) in seeds.iter().enumerate() {
+        let counter = [sample as u32 | 1 << 31, 1 << 31 | 3 << 16, 0, 7 << 1];
+        let [low, high, ..] = philox(counter, [0x89ab_cdef, 0x0123_4567]);
+        assert_eq!(seed, ((u64::from(high) << 32 | u64::from(low)) >> 1) as i64);
+    }
+}
+
+#[test]
+fn seeds_are_uniform_and_unrelated_to_the_candidates() {
+    let mut seeds = vec![0; 40_000];
+    draw_seeds(actions(5, 9), 2, &mut seeds);
+    let unit: Vec<f32> = seeds.iter().map(|&seed| (seed as f64 / 2f64.powi(63)) as f32).collect();
+    assert!(kolmogorov(&unit, |x| x.clamp(0.0, 1.0)) < 1.95);
+    let low: Vec<f32> = seeds.iter().map(|seed| (seed & 0xffff) as f32).collect();
+    let normals = standard_normals(actions(5, 9), 2, 40_000, 2);
+    let first: Vec<f32> = normals.iter().step_by(2).copied().collect();
+    // Five standard errors of the correlation of unrelated numbers.
+    assert!(correlation(&unit, &first).abs() < 5.0 / 200.0);
+    assert!(correlation(&low, &first).abs() < 5.0 / 200.0);
+    assert!(correlation(&unit, &low).abs() < 5.0 / 200.0);
+}
+
+proptest! {
+    #[test]
+    fn a_seed_depends_on_its_counter_only(
+        seed: u64, problem: u64, iteration in 0usize..MAX_ITERATIONS, count in 0usize..70,
+    ) {
+        let stream = actions(seed, problem);
+        let (mut some, mut many) = (vec![0; count], vec![0; 80]);
+        draw_seeds(stream, iteration, &mut some);
+        draw_seeds(stream, iteration, &mut many);
+        prop_assert_eq!(&some, &many[..count]);
+        prop_assert!(many.iter().all(|&seed| seed >= 0));
+        for other in [actions(seed ^ 1, problem), actions(seed, problem ^ 1)] {
+            let mut theirs = vec![0; 80];
+            draw_seeds(other, iteration, &mut theirs);
+            prop_assert!(many.iter().zip(&theirs).all(|(mine, theirs)| mine != theirs));
+        }
     }
 }

@@ -12,8 +12,9 @@
 
 use ndarray::{Array2, Array3};
 
-use super::cem::{minimise, Call, CemConfig, IterationStats, Objective};
+use super::cem::{minimise, BestOf, Call, CemConfig, IterationStats, Objective};
 use super::distribution::{Bounds, Initial};
+use super::elites::elites;
 use super::model::{Frames, SubgoalModel, WorldModel};
 use super::mpc::{plan, Interrupt, MpcConfig, Plan, Problems};
 use super::sampler::{Purpose, Stream, MAX_DIMENSIONS};
@@ -311,19 +312,29 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'_, W, G> {
         Ok(())
     }
 
+    /// Keeps what belongs to the candidate that the optimisation would answer with now.
     fn remember_best(
         &mut self,
+        call: Call<'_>,
         samples: &mut [Sample],
         costs: &[f32],
         decoded: &W::Frames,
     ) -> Result<()> {
         let subgoals = self.config.subgoals;
         let segments = subgoals + 1;
-        let complete = (0..samples.len()).filter(|&sample| samples[sample].plans.len() == segments);
-        let Some(sample) = complete.min_by(|&a, &b| costs[a].total_cmp(&costs[b])) else {
+        // Ranked as the optimisation ranks them, so that its latents are those of these images.
+        let Some(&sample) = elites(&[], costs.into(), 1).first() else {
             return Ok(());
         };
-        if self.best.as_ref().is_none_or(|best| costs[sample] < best.cost) {
+        if samples[sample].plans.len() != segments {
+            return Ok(());
+        }
+        // The best so far competes with the last iteration's only if it was kept as an elite.
+        let rival = match self.config.cem.best {
+            BestOf::Last if call.kept_costs[0].is_empty() => None,
+            _ => self.best.as_ref(),
+        };
+        if rival.is_none_or(|best| costs[sample] < best.cost) {
             let index: Vec<usize> = (sample * subgoals..(sample + 1) * subgoals).collect();
             self.best = Some(Best {
                 subgoals: decoded.select(&index)?,
@@ -364,7 +375,7 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> 
                 false => f32::INFINITY,
             })
             .collect();
-        self.remember_best(&mut samples, &costs, &decoded)?;
+        self.remember_best(call, &mut samples, &costs, &decoded)?;
         Ok(Array2::from_shape_vec((1, count), costs).expect("one cost per sample"))
     }
 }

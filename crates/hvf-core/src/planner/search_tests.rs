@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::planner::point_mass::{PointMass, Points, Positions};
+use ndarray::{ArrayView2, Axis};
 use proptest::prelude::*;
 
 const START: [f32; 2] = [0.0, 0.0];
@@ -77,6 +78,31 @@ fn no_subgoals_is_the_plan_to_the_goal() {
     assert!(found.subgoals.is_empty() && found.history.is_empty());
 }
 
+/// The segments of one sample of two subgoals, each planned on its own.
+fn plain_plans(
+    config: &HvfConfig,
+    seed: u64,
+    iteration: usize,
+    sample: usize,
+    latents: ArrayView2<'_, f32>,
+) -> Vec<Plan> {
+    let subgoals = latents.outer_iter().map(|l| Positions::position(&l.to_vec()));
+    let way: Vec<[f32; 2]> = [START].into_iter().chain(subgoals).chain([GOAL]).collect();
+    (0..3)
+        .map(|segment| {
+            let problems = Problems {
+                starts: &Points(vec![way[segment]]),
+                goals: &Points(vec![way[segment + 1]]),
+                streams: &[segment_stream(seed, iteration, sample, segment)],
+                warm_start: None,
+                share_rollouts: false,
+                describe: &|_| String::new(),
+            };
+            plan(&config.mpc, &PointMass::new(), &problems, &|| Ok(())).unwrap().remove(0)
+        })
+        .collect()
+}
+
 /// Algorithm 2 with loops: every sample planned on its own, over the latents that were drawn.
 #[test]
 fn equals_a_plain_search_over_the_same_latents() {
@@ -89,21 +115,9 @@ fn equals_a_plain_search_over_the_same_latents() {
         for (iteration, latents) in generator.seen.borrow().iter().enumerate() {
             let mut costs = Vec::new();
             for (sample, latents) in latents.outer_iter().enumerate() {
-                let subgoals = latents.outer_iter().map(|l| Positions::position(&l.to_vec()));
-                let way: Vec<[f32; 2]> =
-                    [START].into_iter().chain(subgoals).chain([GOAL]).collect();
-                let segments: Vec<f32> = (0..3)
-                    .map(|segment| {
-                        let problems = Problems {
-                            starts: &Points(vec![way[segment]]),
-                            goals: &Points(vec![way[segment + 1]]),
-                            streams: &[segment_stream(seed, iteration, sample, segment)],
-                            warm_start: None,
-                            share_rollouts: false,
-                            describe: &|_| String::new(),
-                        };
-                        plan(&config.mpc, &PointMass::new(), &problems, &|| Ok(())).unwrap()[0].cost
-                    })
+                let segments: Vec<f32> = plain_plans(&config, seed, iteration, sample, latents)
+                    .iter()
+                    .map(|plan| plan.cost)
                     .collect();
                 let cost = match reduction {
                     Reduction::Max => segments.iter().copied().fold(0.0, f32::max),
@@ -127,6 +141,50 @@ fn equals_a_plain_search_over_the_same_latents() {
         let decoded: Vec<[f32; 2]> =
             found.latents.outer_iter().map(|l| Positions::position(&l.to_vec())).collect();
         assert_eq!(found.subgoals.0, decoded);
+    }
+}
+
+#[test]
+fn the_best_of_the_last_iteration_is_one_sample_in_all_its_parts() {
+    let mut earlier_was_better = 0;
+    for seed in 0..6 {
+        let mut config = small(2);
+        config.cem.best = BestOf::Last;
+        config.cem.min_variance = 0.0;
+        let generator = Positions::new();
+        let found = run_in(&config, &PointMass::new(), &generator, seed).unwrap();
+        let last = generator.seen.borrow().last().unwrap().clone();
+        let samples: Vec<Vec<Plan>> = last
+            .outer_iter()
+            .enumerate()
+            .map(|(sample, latents)| plain_plans(&config, seed, 2, sample, latents))
+            .collect();
+        let cost = |sample: usize| samples[sample].iter().map(|plan| plan.cost).fold(0.0, f32::max);
+        let best =
+            (0..samples.len()).min_by(|&a, &b| cost(a).partial_cmp(&cost(b)).unwrap()).unwrap();
+        assert_eq!(found.cost, cost(best));
+        assert_eq!(found.plans, samples[best]);
+        assert_eq!(found.latents, last.index_axis(Axis(0), best));
+        let decoded = found.latents.outer_iter().map(|l| Positions::position(&l.to_vec()));
+        assert_eq!(found.subgoals.0, decoded.collect::<Vec<_>>());
+
+        config.cem.best = BestOf::All;
+        let over_all = run(&config, seed);
+        assert!(over_all.cost <= found.cost);
+        earlier_was_better += usize::from(over_all.cost < found.cost);
+    }
+    assert!(earlier_was_better > 0, "nothing was tested");
+}
+
+#[test]
+fn a_kept_elite_can_be_the_best_of_the_last_iteration() {
+    for seed in 0..6 {
+        let mut config = small(2);
+        config.cem.keep_elites = 2;
+        config.cem.min_variance = 0.0;
+        let over_all = run(&config, seed);
+        config.cem.best = BestOf::Last;
+        assert_same(&run(&config, seed), &over_all);
     }
 }
 

@@ -1,5 +1,6 @@
 //! Arguments of the planners: whole numbers, seeds, earlier plans.
 
+use hvf_core_rs::planner::BestOf;
 use ndarray::{Array2, Array3, ArrayD, Axis, Ix2, Ix3};
 use numpy::{AllowTypeChange, PyArrayLikeDyn, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -102,6 +103,25 @@ fn floats(object: &Bound<'_, PyAny>, expected: &str) -> PyResult<ArrayD<f32>> {
         PyTypeError::new_err(format!("warm_start: expected {expected}, got {found}"))
     })?;
     Ok(array.as_array().to_owned())
+}
+
+/// Which iterations an answer may come from, by name.
+pub fn best_of(name: &str) -> PyResult<BestOf> {
+    match name {
+        "all" => Ok(BestOf::All),
+        "last" => Ok(BestOf::Last),
+        other => {
+            Err(PyValueError::new_err(format!("best: must be 'all' or 'last', got '{other}'")))
+        }
+    }
+}
+
+/// The name of [`best_of`].
+pub fn best_name(best: BestOf) -> &'static str {
+    match best {
+        BestOf::All => "all",
+        BestOf::Last => "last",
+    }
 }
 
 /// What an object is, in an error: its type, and for an array its dtype and shape.

@@ -30,8 +30,13 @@ pub trait Border: Sync {
     /// The Python object that is the world, for its name and its `observe`.
     fn model(&self) -> &Py<PyAny>;
 
-    /// Frames from what the user or a generator gave.
-    fn read(&self, argument: &str, object: &Bound<'_, PyAny>) -> PyResult<FramesOf<Self>>;
+    /// Frames from what the user or a generator gave; `axes` says whether that may be one image.
+    fn read(
+        &self,
+        argument: &str,
+        object: &Bound<'_, PyAny>,
+        axes: Axes,
+    ) -> PyResult<FramesOf<Self>>;
 
     /// Frames as the model's own Python object.
     fn write<'py>(&self, py: Python<'py>, frames: FramesOf<Self>) -> PyResult<Bound<'py, PyAny>>;
@@ -137,14 +142,19 @@ impl<N: NativeClass> Border for Native<N> {
         &self.model
     }
 
-    fn read(&self, argument: &str, object: &Bound<'_, PyAny>) -> PyResult<FramesOf<Self>> {
+    fn read(
+        &self,
+        argument: &str,
+        object: &Bound<'_, PyAny>,
+        axes: Axes,
+    ) -> PyResult<FramesOf<Self>> {
         if let Ok(frames) = object.cast::<N::Frames>() {
             return Ok(N::unwrap(frames.get()).clone());
         }
         let py = object.py();
         let model = self.model.bind(py);
         let observe = model.getattr_opt(intern!(py, "observe"))?;
-        let (Some(images), Some(observe)) = (images_of(object)?, &observe) else {
+        let (Some(images), Some(observe)) = (images_of(object, axes)?, &observe) else {
             let frames = N::Frames::type_object(py).name()?;
             let images = if observe.is_some() { " or uint8 images [N, H, W, 3]" } else { "" };
             let found = describe(object);
@@ -175,27 +185,45 @@ pub fn is_native_frames(object: &Bound<'_, PyAny>) -> bool {
         || object.is_instance_of::<PyLayerFrames>()
 }
 
-/// The uint8 images `[N, H, W, 3]` in an object: an array of them, one image `[H, W, 3]`, or the
-/// `images` of another world's frames.
-pub fn images_of<'py>(object: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>> {
-    if let Some(images) = as_images(object)? {
+/// How many axes images have where they are asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Axes {
+    /// One image is asked for: `[H, W, 3]` will do.
+    OneOrBatch,
+    /// A batch is asked for: three axes are `N` grey images or other frames of a model's own.
+    Batch,
+}
+
+/// The uint8 images `[N, H, W, 3]` in an object: an array of them, one image `[H, W, 3]` where
+/// that will do, or the `images` of another world's frames.
+pub fn images_of<'py>(
+    object: &Bound<'py, PyAny>,
+    axes: Axes,
+) -> PyResult<Option<Bound<'py, PyAny>>> {
+    if let Some(images) = as_images(object, axes)? {
         return Ok(Some(images));
     }
     match object.getattr_opt(intern!(object.py(), "images"))? {
-        Some(images) => as_images(&images),
+        Some(images) => as_images(&images, Axes::Batch),
         None => Ok(None),
     }
 }
 
-/// A uint8 array `[N, H, W, 3]`, or `[H, W, 3]` with an axis added.
-pub fn as_images<'py>(object: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>> {
+/// A uint8 array `[N, H, W, 3]`, or `[H, W, 3]` with an axis added where one image will do.
+pub fn as_images<'py>(
+    object: &Bound<'py, PyAny>,
+    axes: Axes,
+) -> PyResult<Option<Bound<'py, PyAny>>> {
     let py = object.py();
     let Ok(array) = object.cast::<PyUntypedArray>() else {
         return Ok(None);
     };
-    match (array.dtype().is_equiv_to(&dtype::<u8>(py)), array.ndim()) {
-        (true, 3) => Ok(Some(object.get_item(py.None())?)),
-        (true, 4) => Ok(Some(object.clone())),
+    if !array.dtype().is_equiv_to(&dtype::<u8>(py)) {
+        return Ok(None);
+    }
+    match array.shape() {
+        [_, _, 3] if axes == Axes::OneOrBatch => Ok(Some(object.get_item(py.None())?)),
+        [_, _, _, _] => Ok(Some(object.clone())),
         _ => Ok(None),
     }
 }
@@ -241,7 +269,7 @@ impl<B: Border> SubgoalModel<FramesOf<B>> for Generator<'_, B> {
             let latents = PyArray3::from_owned_array(py, latents);
             let decoded =
                 self.object.bind(py).call_method1(intern!(py, "decode"), (scene, latents))?;
-            self.border.read("generator.decode", &decoded)
+            self.border.read("generator.decode", &decoded, Axes::Batch)
         })
         .map_err(raised)
     }

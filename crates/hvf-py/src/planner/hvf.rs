@@ -5,8 +5,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use super::arguments::{seeds, Whole};
-use super::border::{with_border, Border, FramesOf, Generator};
+use super::arguments::{best_name, best_of, seeds, Whole};
+use super::border::{with_border, Axes, Border, FramesOf, Generator};
 use super::results::{PyPlans, PySearchResult};
 use super::signals;
 use super::visual_mpc::{keywords, one_frame, PyVisualMpc};
@@ -18,10 +18,11 @@ use crate::error::to_py;
 /// hardest of its `subgoals + 1` segments costs to plan with `mpc` (paper, section 4). Immutable;
 /// arguments out of range raise a ValueError that names them. The stub file describes every
 /// argument.
-#[pyclass(name = "HVF", module = "hvf_core", frozen, eq)]
+#[pyclass(name = "HVF", module = "hvf_core", frozen, eq, hash)]
 #[derive(Clone, PartialEq)]
 pub struct PyHvf {
-    config: HvfConfig,
+    /// The settings, validated.
+    pub config: HvfConfig,
 }
 
 #[pymethods]
@@ -31,11 +32,11 @@ impl PyHvf {
         signature = (
             *, mpc=None, subgoals=Whole(2), samples=Whole(200), elites=Whole(40),
             iterations=Whole(5), min_variance=1e-3, reduction="max", keep_elites=Whole(0),
-            prune=true, share_rollouts=true
+            prune=true, share_rollouts=true, best="all"
         ),
         text_signature = "(*, mpc=None, subgoals=2, samples=200, elites=40, iterations=5, \
                           min_variance=0.001, reduction='max', keep_elites=0, prune=True, \
-                          share_rollouts=True)"
+                          share_rollouts=True, best='all')"
     )]
     #[allow(clippy::too_many_arguments)]
     fn new(
@@ -49,6 +50,7 @@ impl PyHvf {
         keep_elites: Whole,
         prune: bool,
         share_rollouts: bool,
+        best: &str,
     ) -> PyResult<Self> {
         let reduction = match reduction {
             "max" => Reduction::Max,
@@ -68,6 +70,7 @@ impl PyHvf {
                 iterations: iterations.count("iterations")?,
                 min_variance,
                 keep_elites: keep_elites.count("keep_elites")?,
+                best: best_of(best)?,
             },
             reduction,
             prune,
@@ -115,8 +118,8 @@ impl PyHvf {
         seeds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Vec<PySearchResult>> {
         with_border!(model, |border| {
-            let starts = border.read("starts", starts)?;
-            let goals = border.read("goals", goals)?;
+            let starts = border.read("starts", starts, Axes::Batch)?;
+            let goals = border.read("goals", goals, Axes::Batch)?;
             let count = goals.len();
             if starts.len() != count && starts.len() != 1 {
                 return Err(PyValueError::new_err(format!(
@@ -181,6 +184,10 @@ impl PyHvf {
     fn share_rollouts(&self) -> bool {
         self.config.share_rollouts
     }
+    #[getter]
+    fn best(&self) -> &'static str {
+        best_name(self.config.cem.best)
+    }
 
     /// The arguments that make an equal object, for copies and pickles.
     fn __getnewargs_ex__<'py>(
@@ -198,6 +205,7 @@ impl PyHvf {
             "keep_elites",
             "prune",
             "share_rollouts",
+            "best",
         ] {
             arguments.set_item(name, slf.getattr(name)?)?;
         }

@@ -1,14 +1,17 @@
 //! Visual MPC and the subgoal search for Python.
 //!
 //! [`border`] takes frames in and out and finds the world behind a Python object, [`model`] makes
-//! any Python object a world model, [`visual_mpc`] and [`hvf`] are the planners, [`results`] what
-//! they return.
+//! any Python object a world model and [`returned_costs`] reads its costs, [`visual_mpc`] and
+//! [`hvf`] are the planners, which [`hashing`] makes keys of dictionaries, [`results`] what they
+//! return.
 
 mod arguments;
 mod border;
+mod hashing;
 mod hvf;
 mod model;
 mod results;
+mod returned_costs;
 mod visual_mpc;
 
 use hvf_core_rs::{Error, Result};

@@ -1,24 +1,21 @@
 //! Any Python object with the methods of `hvf.protocols.WorldModel` as a world model.
 //!
 //! Candidate actions are handed over: the array that the model gets owns the memory they were
-//! drawn into. Costs, 4 bytes per candidate, are copied once out of an array that the model may
-//! go on writing to.
+//! drawn into. What comes back is read by [`returned_costs`](super::returned_costs).
 
-use hvf_core_rs::planner::{ActionSpace, Frames, WorldModel};
+use hvf_core_rs::planner::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel};
 use hvf_core_rs::{Error, Result};
-use ndarray::{Array2, Array3, Array4, Ix2};
-use numpy::{
-    AllowTypeChange, IntoPyArray, PyArray2, PyArray3, PyArray4, PyArrayLike1, PyArrayMethods,
-    PyUntypedArray, PyUntypedArrayMethods,
-};
+use ndarray::Array2;
+use numpy::{AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayLike1};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::PyString;
+use pyo3::types::{PyDict, PyString, PyTuple};
 
 use super::arguments::{describe, Whole};
-use super::border::{as_images, images_of, is_native_frames, Border};
+use super::border::{as_images, images_of, is_native_frames, Axes, Border};
 use super::raised;
+use super::returned_costs::read_costs;
 use crate::error::to_py;
 
 /// Frames of a Python world: any object with `len()` that an int64 array indexes.
@@ -73,6 +70,8 @@ pub struct PythonWorld {
     object: Py<PyAny>,
     actions: ActionSpace,
     max_candidates: usize,
+    uses_seeds: bool,
+    prepares: bool,
     shares_rollouts: bool,
     observes: bool,
 }
@@ -114,6 +113,11 @@ impl PythonWorld {
         Ok(Self {
             actions,
             max_candidates,
+            uses_seeds: match object.getattr_opt(intern!(py, "uses_seeds"))? {
+                Some(uses) => uses.is_truthy()?,
+                None => false,
+            },
+            prepares: has(intern!(py, "prepare"))?,
             shares_rollouts: has(intern!(py, "shared_rollout_costs"))?,
             observes: has(intern!(py, "observe"))?,
             object: object.clone().unbind(),
@@ -135,28 +139,63 @@ impl WorldModel for PythonWorld {
         self.max_candidates
     }
 
+    fn uses_seeds(&self) -> bool {
+        self.uses_seeds
+    }
+
+    fn prepare(
+        &self,
+        starts: &PythonFrames,
+        goals: &PythonFrames,
+    ) -> Result<Option<(PythonFrames, PythonFrames)>> {
+        if !self.prepares {
+            return Ok(None);
+        }
+        let prepared = Python::attach(|py| {
+            let arguments = (&starts.object, &goals.object);
+            let pair = self.object.bind(py).call_method1(intern!(py, "prepare"), arguments)?;
+            // A pair by type: a batch of two frames can be unpacked as well.
+            Ok(match pair.cast::<PyTuple>() {
+                Ok(both) if both.len() == 2 => {
+                    let frames = |place, name| {
+                        let frames = both.get_item(place)?;
+                        PythonFrames::new(&format!("prepare: {name}"), frames)
+                    };
+                    Ok((frames(0, "starts")?, frames(1, "goals")?))
+                }
+                _ => Err(Error::Model(format!(
+                    "prepare must return a tuple (starts, goals) of frames, got {}",
+                    described_pair(&pair)
+                ))),
+            })
+        });
+        prepared.map_err(raised)?.map(Some)
+    }
+
     fn rollout_costs(
         &self,
         starts: &PythonFrames,
         goals: &PythonFrames,
-        actions: Array4<f32>,
+        Candidates { actions, seeds }: Candidates,
     ) -> Result<Array2<f32>> {
         let (problems, samples, _, _) = actions.dim();
         Python::attach(|py| {
             let arguments =
                 (&starts.object, &goals.object, PyArray4::from_owned_array(py, actions));
-            let costs =
-                self.object.bind(py).call_method1(intern!(py, "rollout_costs"), arguments)?;
-            read_costs("rollout_costs", &costs, (problems, samples))
+            let seeds = seeds.map(|seeds| PyArray2::from_owned_array(py, seeds).into_any());
+            let model = self.object.bind(py);
+            let method = intern!(py, "rollout_costs");
+            let costs = model.call_method(method, arguments, keyword(py, seeds)?.as_ref())?;
+            read_costs(model, "rollout_costs", &costs, (problems, samples))
         })
-        .map_err(raised)?
+        .map_err(raised)
     }
 
     fn shared_rollout_costs(
         &self,
         start: &PythonFrames,
         goals: &PythonFrames,
-        actions: Array3<f32>,
+        SharedCandidates { actions, seeds }: SharedCandidates,
     ) -> Option<Result<Array2<f32>>> {
         if !self.shares_rollouts {
             return None;
@@ -164,48 +203,35 @@ impl WorldModel for PythonWorld {
         let (samples, _, _) = actions.dim();
         let costs = Python::attach(|py| {
             let arguments = (&start.object, &goals.object, PyArray3::from_owned_array(py, actions));
+            let seeds = seeds.map(|seeds| PyArray1::from_owned_array(py, seeds).into_any());
+            let model = self.object.bind(py);
             let method = intern!(py, "shared_rollout_costs");
-            let costs = self.object.bind(py).call_method1(method, arguments)?;
-            read_costs("shared_rollout_costs", &costs, (goals.len, samples))
+            let costs = model.call_method(method, arguments, keyword(py, seeds)?.as_ref())?;
+            read_costs(model, "shared_rollout_costs", &costs, (goals.len, samples))
         });
-        Some(costs.map_err(raised).and_then(|costs| costs))
+        Some(costs.map_err(raised))
     }
 }
 
-/// Costs `[B, D]` from what a model returned: float32 as it is, other numbers converted.
-fn read_costs(
-    method: &str,
-    returned: &Bound<'_, PyAny>,
-    expected: (usize, usize),
-) -> PyResult<Result<Array2<f32>>> {
-    let wrong = |found: String| {
-        let (problems, samples) = expected;
-        Error::Model(format!(
-            "{method} must return float32 costs [B, D] = [{problems}, {samples}], got {found}"
-        ))
+/// `seeds=..` for a model that uses them; nothing for others, which need not take the argument.
+fn keyword<'py>(
+    py: Python<'py>,
+    seeds: Option<Bound<'py, PyAny>>,
+) -> PyResult<Option<Bound<'py, PyDict>>> {
+    let Some(seeds) = seeds else {
+        return Ok(None);
     };
-    if let Ok(costs) = returned.cast::<PyArray2<f32>>() {
-        let costs = costs.readonly();
-        return Ok(match costs.as_array() {
-            view if view.dim() == expected => Ok(view.to_owned()),
-            _ => Err(wrong(describe(returned))),
-        });
+    let keywords = PyDict::new(py);
+    keywords.set_item(intern!(py, "seeds"), seeds)?;
+    Ok(Some(keywords))
+}
+
+/// What came instead of a pair.
+fn described_pair(object: &Bound<'_, PyAny>) -> String {
+    match object.cast::<PyTuple>() {
+        Ok(tuple) => format!("a tuple of {}", tuple.len()),
+        Err(_) => describe(object),
     }
-    let py = returned.py();
-    let array =
-        py.import(intern!(py, "numpy"))?.call_method1(intern!(py, "asarray"), (returned,))?;
-    let kind: String =
-        array.getattr(intern!(py, "dtype"))?.getattr(intern!(py, "kind"))?.extract()?;
-    let shape = array.cast::<PyUntypedArray>()?.shape().to_vec();
-    if !["f", "i", "u"].contains(&kind.as_str()) || shape != [expected.0, expected.1] {
-        return Ok(Err(wrong(describe(&array))));
-    }
-    let floats: numpy::PyArrayLikeDyn<'_, f32, AllowTypeChange> = array.extract()?;
-    Ok(floats
-        .as_array()
-        .to_owned()
-        .into_dimensionality::<Ix2>()
-        .map_err(|_| wrong(describe(&array))))
 }
 
 impl Border for PythonWorld {
@@ -220,12 +246,17 @@ impl Border for PythonWorld {
     }
 
     /// Images go through the model's `observe`, if it has one; so do a native world's frames.
-    fn read(&self, argument: &str, object: &Bound<'_, PyAny>) -> PyResult<PythonFrames> {
+    fn read(
+        &self,
+        argument: &str,
+        object: &Bound<'_, PyAny>,
+        axes: Axes,
+    ) -> PyResult<PythonFrames> {
         let py = object.py();
         let images = if self.observes && is_native_frames(object) {
-            images_of(object)?
+            images_of(object, axes)?
         } else {
-            as_images(object)?
+            as_images(object, axes)?
         };
         let frames = match images {
             Some(images) if self.observes => {

@@ -5,7 +5,7 @@ use ndarray::{stack, Array1, Array2, Array3, Axis};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyIterator, PyList};
 
 /// One figure of an iteration, by name.
 type Figure = (&'static str, fn(&IterationStats) -> f32);
@@ -34,7 +34,7 @@ impl PyPlan {
         self.inner.actions.clone().into_pyarray(py)
     }
 
-    /// Predicted cost of these actions: the lowest of all iterations.
+    /// Predicted cost of these actions: the lowest of the iterations that `best` says.
     #[getter]
     fn cost(&self) -> f32 {
         self.inner.cost
@@ -130,6 +130,11 @@ impl PyPlans {
             .and_then(|place| self.inner.get(place))
             .map(|plan| PyPlan { inner: plan.clone() })
             .ok_or_else(|| PyIndexError::new_err(format!("plan {index} of {count}")))
+    }
+
+    fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyIterator>> {
+        let plans = self.inner.iter().map(|plan| PyPlan { inner: plan.clone() });
+        PyList::new(py, plans.collect::<Vec<_>>())?.try_iter()
     }
 
     fn __repr__(&self) -> String {

@@ -8,8 +8,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use super::arguments::{one_warm_start, seeds, warm_starts, Whole};
-use super::border::{with_border, Border, FramesOf};
+use super::arguments::{best_name, best_of, one_warm_start, seeds, warm_starts, Whole};
+use super::border::{with_border, Axes, Border, FramesOf};
 use super::results::{PyPlan, PyPlans};
 use super::signals;
 use crate::error::to_py;
@@ -20,7 +20,7 @@ use crate::error::to_py;
 /// cost and refits a diagonal Gaussian to them, until its largest variance falls below
 /// `min_variance` or `iterations` are used up (paper, section 3). Immutable; arguments out of
 /// range raise a ValueError that names them. The stub file describes every argument.
-#[pyclass(name = "VisualMPC", module = "hvf_core", frozen, eq)]
+#[pyclass(name = "VisualMPC", module = "hvf_core", frozen, eq, hash)]
 #[derive(Clone, PartialEq)]
 pub struct PyVisualMpc {
     /// The settings, validated.
@@ -35,12 +35,13 @@ impl PyVisualMpc {
             *, horizon=Whole(5), samples=Whole(200), elites=Whole(40), iterations=Whole(5),
             min_variance=1e-3, action_repeat=Whole(1), initial="uniform", initial_low=None,
             initial_high=None, initial_mean=0.0, initial_std=1.0, keep_elites=Whole(0),
-            warm_start_std=1.0
+            warm_start_std=1.0, clip=true, best="all"
         ),
         text_signature = "(*, horizon=5, samples=200, elites=40, iterations=5, \
                           min_variance=0.001, action_repeat=1, initial='uniform', \
                           initial_low=None, initial_high=None, initial_mean=0.0, \
-                          initial_std=1.0, keep_elites=0, warm_start_std=1.0)"
+                          initial_std=1.0, keep_elites=0, warm_start_std=1.0, clip=True, \
+                          best='all')"
     )]
     #[allow(clippy::too_many_arguments)]
     fn new(
@@ -57,6 +58,8 @@ impl PyVisualMpc {
         initial_std: f64,
         keep_elites: Whole,
         warm_start_std: f64,
+        clip: bool,
+        best: &str,
     ) -> PyResult<Self> {
         let initial = match initial {
             "uniform" => ActionInitial::Uniform { low: initial_low, high: initial_high },
@@ -79,12 +82,14 @@ impl PyVisualMpc {
             action_repeat: action_repeat.count("action_repeat")?,
             initial,
             warm_start_std,
+            clip,
             cem: CemConfig {
                 samples: samples.count("samples")?,
                 elites: elites.count("elites")?,
                 iterations: iterations.count("iterations")?,
                 min_variance,
                 keep_elites: keep_elites.count("keep_elites")?,
+                best: best_of(best)?,
             },
         };
         config.validate().map_err(to_py)?;
@@ -138,8 +143,8 @@ impl PyVisualMpc {
     ) -> PyResult<PyPlans> {
         let warm_start = warm_starts(warm_start)?;
         let inner = with_border!(model, |border| {
-            let starts = border.read("starts", starts)?;
-            let goals = border.read("goals", goals)?;
+            let starts = border.read("starts", starts, Axes::Batch)?;
+            let goals = border.read("goals", goals, Axes::Batch)?;
             let seeds = self::seeds(seeds, goals.len())?;
             self.solve(model.py(), &border, &starts, &goals, &seeds, warm_start)
         })?;
@@ -177,6 +182,14 @@ impl PyVisualMpc {
     #[getter]
     fn warm_start_std(&self) -> f64 {
         self.config.warm_start_std
+    }
+    #[getter]
+    fn clip(&self) -> bool {
+        self.config.clip
+    }
+    #[getter]
+    fn best(&self) -> &'static str {
+        best_name(self.config.cem.best)
     }
     #[getter]
     fn initial(&self) -> &'static str {
@@ -233,6 +246,8 @@ impl PyVisualMpc {
             "initial_std",
             "keep_elites",
             "warm_start_std",
+            "clip",
+            "best",
         ] {
             arguments.set_item(name, slf.getattr(name)?)?;
         }
@@ -284,7 +299,7 @@ pub fn one_frame<B: Border>(
     argument: &str,
     object: &Bound<'_, PyAny>,
 ) -> PyResult<FramesOf<B>> {
-    let frames = border.read(argument, object)?;
+    let frames = border.read(argument, object, Axes::OneOrBatch)?;
     match frames.len() {
         1 => Ok(frames),
         count => Err(PyValueError::new_err(format!(

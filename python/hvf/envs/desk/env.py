@@ -28,32 +28,46 @@ from hvf.envs.desk.simulator import (
 )
 from hvf.envs.desk.simulator import BUTTONS as BUTTON_POSITIONS
 from hvf.envs.desk.tasks import (
+    DOOR_CLOSED,
     MAX_STEPS,
+    OFF_TABLE,
     Episodes,
     TaskName,
     check_task,
+    has_door,
     make_episodes,
     object_success,
 )
+from hvf.envs.goals import checked_goals
 
 Image = NDArray[np.uint8]
 
 RENDER_MODES = ("human", "rgb_array")
 RENDER_SIZE = 256
 
+_GOAL_LIMIT = 2.0
+"""Openings and heights in goals are clipped to this, m; nothing on or off the desk gets so far."""
 
-class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
+
+class DeskEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     """A Franka Panda at a desk with a sliding door, a drawer, three buttons and three cubes.
 
     The desk of Nair & Finn (2020), section 6.2, made with
     ``gymnasium.make("hvf/FrankaDesk-v0", task="door_two_block")``.
 
-    * Observation: image of the scene, uint8 ``[S, S, 3]``.
+    * Observation: image of the scene, uint8 ``[S, S, 3]``. With ``goal_observation=True`` a dict
+      as goal-conditioned learners with hindsight expect it: ``observation``, that image, and
+      ``achieved_goal`` and ``desired_goal``, what success is asked of, float64 ``[4]`` in metres:
+      how far the door is open and how high red, green and blue cube are; a goal asks for a door
+      that is closed in it and for cubes that are off the table in it (the true state); and there
+      is ``compute_reward``.
     * Action: velocity of the fingertip along x, y and z in units of 0.4 m/s, float32 ``[3]`` in
       ``[-1, 1]``; larger ones are clipped. One step lasts 0.2 s.
     * Reward: 1 in a step that ends in success, else 0.
     * Termination: success. The door is closed within 0.02 m; the task's cubes are off the table.
-    * Truncation: after the task's number of steps, 50 or 100.
+    * Truncation: after the task's number of steps, 50 or 100; or when the simulation diverged,
+      which ``info["error"]`` then says (it is not there otherwise). Observation and state are
+      those from before that step, and the reward is 0.
     * ``info``: ``state`` float64 ``[63]``, see :mod:`hvf.envs.desk.simulator`; ``end_effector``
       ``[3]``, ``door``, ``drawer``, ``buttons`` ``[3]``, ``blocks`` ``[3, 3]`` (m); ``goal``
       (goal image) and ``goal_state``; ``success``, and ``object_success`` with ``door`` and the
@@ -69,6 +83,7 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         image_size: Width and height ``S`` of observations, pixels, 8 to 1024.
         render_mode: None, ``"rgb_array"`` or ``"human"``.
         scene: MJCF file to use in place of the package's own scene.
+        goal_observation: Whether observations are dicts, see above.
 
     Raises:
         ValueError: for a setting that is none of these, or a scene that cannot be read.
@@ -88,6 +103,7 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         image_size: int = 64,
         render_mode: str | None = None,
         scene: str | Path | None = None,
+        goal_observation: bool = False,
     ) -> None:
         check_task(task)
         check_image_size(image_size)
@@ -101,7 +117,19 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         self._renderer = DeskRenderer(self.simulator.model, image_size)
         self._pictures: DeskRenderer | None = None
         shape = (image_size, image_size, 3)
-        self.observation_space = cast("spaces.Space[Image]", spaces.Box(0, 255, shape, np.uint8))
+        self.goal_observation = goal_observation
+        self.observation_space = cast("spaces.Space[Any]", spaces.Box(0, 255, shape, np.uint8))
+        if goal_observation:
+            goal = spaces.Box(-_GOAL_LIMIT, _GOAL_LIMIT, (1 + len(BLOCKS),), np.float64)
+            self.observation_space = spaces.Dict(
+                {
+                    "observation": self.observation_space,
+                    "achieved_goal": goal,
+                    "desired_goal": goal,
+                }
+            )
+            # Learners take an environment that has this method for one with goals.
+            self.compute_reward = self._compute_reward
         self.action_space = cast(
             "spaces.Space[NDArray[np.float32]]",
             spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32),
@@ -110,6 +138,7 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         self._next_episode = 0
         self._number = 0
         self._steps = 0
+        self._diverged = False
         self._state: Floats | None = None
         self._episode: Episodes | None = None
         self._goal = np.zeros(shape, np.uint8)
@@ -117,7 +146,7 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Image, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Start the next episode, or the first one of ``seed``.
 
         Raises:
@@ -144,39 +173,54 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         self._next_episode += 1
         self._state = self._episode.starts if state is None else state[None]
         self._steps = 0
+        self._diverged = False
         self._goal = self._renderer.render(self._episode.goals)[0]
         if self.render_mode == "human":
             self._show()
-        return self._renderer.render(self._state)[0], self._info()
+        return self._observe(), self._info()
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Image, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move the fingertip for 0.2 s at the velocity ``action[3]``.
 
         Raises:
             ValueError: for another shape, or an action that is not finite.
             ResetNeeded: before the first ``reset``, or after an episode that diverged.
-            DivergenceError: the simulation diverged; names seed and step, and ends the episode.
         """
-        if self._state is None:
+        if self._state is None or self._diverged:
             raise ResetNeeded("call reset before step")
         actions = checked_actions(action, (ACTION_SIZE,))[None]
         try:
             self._state = self.simulator.step(self._state, actions)
-        except DivergenceError as error:
-            self._state = None
-            raise DivergenceError(
-                error.which,
-                self._steps,
-                f"the simulation diverged: seed {self._seed}, episode {self._number}, "
-                f"step {self._steps}",
-            ) from error
+        except DivergenceError:
+            self._diverged = True
+            where = f"seed {self._seed}, episode {self._number}, step {self._steps}"
+            info = {**self._info(), "error": f"the simulation diverged: {where}"}
+            return self._observe(), 0.0, False, True, info
         self._steps += 1
         info = self._info()
         if self.render_mode == "human":
             self._show()
-        observation = self._renderer.render(self._state)[0]
         truncated = self._steps >= MAX_STEPS[self.task]
-        return observation, float(info["success"]), info["success"], truncated, info
+        return self._observe(), float(info["success"]), info["success"], truncated, info
+
+    def _compute_reward(
+        self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any
+    ) -> np.float64 | NDArray[np.float64]:
+        """Rewards of ``achieved_goal[..., 4]`` where ``desired_goal`` was wanted.
+
+        What :meth:`step` gives for its own two goals. A goal that asks for nothing is reached.
+        ``info`` is not used.
+
+        Raises:
+            ValueError: for another shape, or goals that are not finite.
+        """
+        achieved, desired = checked_goals(achieved_goal, desired_goal, 1 + len(BLOCKS))
+        below = np.array([DOOR_CLOSED, *[OFF_TABLE] * len(BLOCKS)])
+        asked = np.less(desired, below)
+        asked[..., 0] &= has_door(self.task)
+        reached = (~asked | (achieved < below)).all(axis=-1)
+        rewards: NDArray[np.float64] = np.asarray(reached, np.float64)
+        return cast("np.float64 | NDArray[np.float64]", rewards[()])
 
     def render(self) -> Image | None:
         """Scene and goal side by side, uint8 ``[256, 520, 3]``; None in human mode.
@@ -212,6 +256,18 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         gap = np.full((RENDER_SIZE, 8, 3), 255, np.uint8)
         return np.concatenate([now, gap, goal], axis=1)
 
+    def _observe(self) -> Image | dict[str, NDArray[Any]]:
+        assert self._state is not None
+        assert self._episode is not None
+        image: Image = self._renderer.render(self._state)[0]
+        if not self.goal_observation:
+            return image
+        return {
+            "observation": image,
+            "achieved_goal": _goal_of(self._state),
+            "desired_goal": _goal_of(self._episode.goals),
+        }
+
     def _info(self) -> dict[str, Any]:
         assert self._state is not None
         assert self._episode is not None
@@ -236,6 +292,13 @@ class DeskEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         if self._window is None:
             self._window = Window("hvf/FrankaDesk-v0: scene and goal", self.metadata["render_fps"])
         self._window.show(self._picture())
+
+
+def _goal_of(states: Floats) -> Floats:
+    """What success is asked of in the first state, ``[4]``."""
+    found = np.concatenate([states[0, DOOR, None], block_positions(states)[0, :, 2]])
+    goal: Floats = np.clip(found, -_GOAL_LIMIT, _GOAL_LIMIT)
+    return goal
 
 
 def _checked_state(value: ArrayLike) -> Floats:

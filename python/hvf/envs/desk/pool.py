@@ -2,14 +2,21 @@
 
 MuJoCo's rollouts use threads well, but an OpenGL context belongs to one thread and drawing from
 Python holds the interpreter; so each process has its own simulator and renderer.
+
+Signals are for the process that asked for the work, which decides what to do: Ctrl-C and SIGTERM
+reach the whole group of processes, and those of a pool let them pass. They end with their pool,
+and within a second once the process that made it is gone, however it ended.
 """
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Sequence
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -18,6 +25,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hvf.cores import cores
 from hvf.envs.desk.opengl import backend
 from hvf.envs.desk.rendering import DeskRenderer, Images, check_image_size
 from hvf.envs.desk.scene import load_scene
@@ -28,6 +36,9 @@ T = TypeVar("T")
 
 _CHUNK = 64
 """States that a process is given at a time, at most."""
+
+_WATCH_SECONDS = 0.5
+"""How often a process looks whether the one that asked for the work is still there."""
 
 
 class Worker:
@@ -98,7 +109,8 @@ class DeskPool:
         self, function: Callable[Concatenate[Worker, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> Future[T]:
         """Run ``function(worker, ...)`` in a process; it must be found by its module's name."""
-        return self._executor.submit(_run, function, *args, **kwargs)  # type: ignore[arg-type]
+        with _signals_blocked():  # this may start a process, which inherits the mask
+            return self._executor.submit(_run, function, *args, **kwargs)  # type: ignore[arg-type]
 
     def render(self, states: Floats) -> Images:
         """Images of ``states[B, 63]``: uint8 ``[B, S, S, 3]``.
@@ -144,24 +156,46 @@ class DeskPool:
         return [slice(first, min(first + chunk, count)) for first in range(0, count, chunk)]
 
 
-def cores() -> int:
-    """Cores that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on every system
-        return os.cpu_count() or 1
-
-
 _worker: Worker | None = None
 
 
 def _begin(image_size: int, scene: str | Path | None, stop: Any) -> None:
     global _worker
-    # Ctrl-C reaches the whole group of processes; the one that asked for the work decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    maker = multiprocessing.parent_process()
+    assert maker is not None
+    threading.Thread(target=_watch, args=(maker.pid,), name="watch", daemon=True).start()
     # Mesa would draw with threads of its own in each process.
     os.environ.setdefault("LP_NUM_THREADS", "0")
     _worker = Worker(image_size, scene, stop)
+
+
+@contextlib.contextmanager
+def _signals_blocked() -> Iterator[None]:
+    """SIGINT and SIGTERM wait until this thread leaves the block.
+
+    A process started in here inherits that, and so never sees them: neither while it imports its
+    modules, where they would end it with a traceback, nor later.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _watch(maker: int) -> None:
+    """End this process once the one that made it is gone, or tells it to."""
+    while os.getppid() == maker:
+        if hasattr(signal, "sigtimedwait"):
+            # An executor that is broken ends its processes by SIGTERM. Everybody else's passes.
+            told = signal.sigtimedwait((signal.SIGTERM,), _WATCH_SECONDS)
+            if told is not None and told.si_pid == maker:
+                break
+        else:
+            time.sleep(_WATCH_SECONDS)
+    # Without a word: nobody is there to hear it, and locks of the pool may be held for ever.
+    os._exit(1)
 
 
 def _run(function: Callable[..., T], *args: Any, **kwargs: Any) -> T:

@@ -113,7 +113,7 @@ class Episodes:
     @property
     def has_door(self) -> bool:
         """Whether the door has to be closed."""
-        return _OBJECTS[self.task][0]
+        return has_door(self.task)
 
 
 def make_episodes(
@@ -140,6 +140,11 @@ def make_episodes(
     return Episodes(
         task, states[:count], states[count:].reshape(count, sum(_OBJECTS[task]), 5, -1), blocks
     )
+
+
+def has_door(task: TaskName) -> bool:
+    """Whether a task asks for the door to be closed."""
+    return _OBJECTS[task][0]
 
 
 def object_success(task: TaskName, blocks: NDArray[np.bool_], states: Floats) -> NDArray[np.bool_]:

@@ -1,14 +1,16 @@
 """The maze as a Gymnasium environment."""
 
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 import hvf_core
 from hvf.envs.actions import checked_actions
+from hvf.envs.goals import checked_goals
 from hvf.envs.maze.task import (
     RENDER_FPS,
     RENDER_MODES,
@@ -19,13 +21,16 @@ from hvf.envs.maze.task import (
 )
 
 
-class MazeEnv(gymnasium.Env[Image, NDArray[np.float32]]):
+class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     """Push a square through the gaps of two walls to where a goal image shows it.
 
     The maze of Nair & Finn (2020), section 6.1, made with ``gymnasium.make("hvf/Maze-v0")``,
     which also ends episodes after 50 steps.
 
-    * Observation: image of the scene, uint8 ``[S, S, 3]``. The target is never drawn.
+    * Observation: image of the scene, uint8 ``[S, S, 3]``. The target is never drawn. With
+      ``goal_observation=True`` a dict as goal-conditioned learners with hindsight expect it:
+      ``observation``, that image, and ``achieved_goal`` and ``desired_goal``, where agent and
+      target are, float64 ``[2]`` in metres (the true state); and there is ``compute_reward``.
     * Action: force on the agent, float32 ``[2]`` in ``[-3, 3]``; larger ones are clipped. One
       step lasts 0.5 s from rest and moves a free agent 0.0495 m per unit.
     * Reward: 1 on success, else 0 (``reward="sparse"``), or minus the distance to the target in
@@ -48,9 +53,19 @@ class MazeEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         image_size: int = 64,
         reward: Reward = "sparse",
         render_mode: str | None = None,
+        goal_observation: bool = False,
     ) -> None:
         self.task = MazeTask(difficulty, image_size, reward, render_mode)
+        self.goal_observation = goal_observation
         self.observation_space = self.task.observation_space
+        if goal_observation:
+            place = spaces.Box(-hvf_core.MAZE_ARENA, hvf_core.MAZE_ARENA, (2,), np.float64)
+            image = cast("spaces.Space[Any]", self.task.observation_space)
+            self.observation_space = spaces.Dict(
+                {"observation": image, "achieved_goal": place, "desired_goal": place}
+            )
+            # Learners take an environment that has this method for one with goals.
+            self.compute_reward = self._compute_reward
         self.action_space = self.task.action_space
         self.render_mode = render_mode
         self._seed: int | None = None
@@ -62,7 +77,7 @@ class MazeEnv(gymnasium.Env[Image, NDArray[np.float32]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Image, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Start the next episode, or the first one of ``seed``.
 
         Raises:
@@ -79,9 +94,9 @@ class MazeEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         self._goal = self.task.goals(self._state, self._target)[0]
         if self.render_mode == "human":
             self._show()
-        return self.task.observe(self._state)[0], self._info()
+        return self._observe(), self._info()
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Image, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Apply a force ``[2]`` for half a second.
 
         Raises:
@@ -97,7 +112,24 @@ class MazeEnv(gymnasium.Env[Image, NDArray[np.float32]]):
             self._show()
         success, distance = np.array([info["success"]]), np.array([info["distance"]])
         reward = float(self.task.rewards(success, distance)[0])
-        return self.task.observe(self._state)[0], reward, info["success"], False, info
+        return self._observe(), reward, info["success"], False, info
+
+    def _compute_reward(
+        self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any
+    ) -> np.float64 | NDArray[np.float64]:
+        """Rewards of being at ``achieved_goal[..., 2]`` with the target at ``desired_goal``, m.
+
+        What :meth:`step` gives for its own two goals. ``info`` is not used.
+
+        Raises:
+            ValueError: for another shape, or places that are not finite.
+        """
+        achieved, desired = checked_goals(achieved_goal, desired_goal, 2)
+        places, targets = achieved.reshape(-1, 2), desired.reshape(-1, 2)
+        states = np.concatenate([places, np.zeros_like(places)], axis=1)
+        success = hvf_core.maze_success(states, targets)
+        rewards = self.task.rewards(success, self.task.distances(states, targets))
+        return cast("np.float64 | NDArray[np.float64]", rewards.reshape(achieved.shape[:-1])[()])
 
     def render(self) -> Image | None:
         """Scene and goal side by side, uint8 ``[256, 520, 3]``; None in human mode.
@@ -121,6 +153,17 @@ class MazeEnv(gymnasium.Env[Image, NDArray[np.float32]]):
         if self._window is not None:
             self._window.close()
             self._window = None
+
+    def _observe(self) -> Image | dict[str, NDArray[Any]]:
+        assert self._state is not None
+        image: Image = self.task.observe(self._state)[0]
+        if not self.goal_observation:
+            return image
+        return {
+            "observation": image,
+            "achieved_goal": self._state[0, :2].copy(),
+            "desired_goal": self._target[0].copy(),
+        }
 
     def _info(self) -> dict[str, Any]:
         assert self._state is not None

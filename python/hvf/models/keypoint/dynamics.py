@@ -84,8 +84,8 @@ class KeypointDynamics(nn.Module):
         Warns once if the images look like nothing that perception was trained on.
         """
         unit = to_unit(images)
-        keypoints = self.perception.find(unit)
-        return keypoints, self.maps(self.background(unit, keypoints))
+        keypoints, sprite = self.perception.find(unit)
+        return keypoints, self.maps((unit - self.perception.tint(sprite)).mean(dim=1))
 
     def background(self, images: Tensor, keypoints: Tensor) -> Tensor:
         """What does not move in `images [N, 3, S, S]`, grey: `[N, S, S]`.

@@ -241,7 +241,7 @@ class LayerPerception(nn.Module):
         slides, roams = self.config.sliders, self.config.roaming
         warn_of_unfamiliar(
             self,
-            self.misfit(frames[some], known),
+            self.misfit(frames[some], known).cpu().numpy(),
             f"one still camera and light, {roams} coloured parts that roam, {slides} things that "
             "slide, and one arm, all of them as in the data that it was trained on",
             share=_AMISS_IN,

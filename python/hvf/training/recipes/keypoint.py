@@ -19,8 +19,6 @@ from hvf.training.tracks.keypoints import Transitions, TransitionSampler
 
 # Validation: windows of this many steps from each held-out episode, and how many are drawn.
 _HORIZON = 5
-# Steps between two frames in which what moves is seen to have moved.
-_APART = 10
 _SHOWN = 10
 
 
@@ -87,7 +85,7 @@ class KeypointRecipe(Recipe):
             validate=lambda model, _: validate_perception(model, data.held_out),
         )
         pool.close()
-        perception.warn_of_unexplained(_pairs(data.held_out).to(perception.colour.device))
+        perception.warn_of_unexplained(_apart(perception, data.held_out))
         model = seeded(seed, lambda: KeypointDynamics(config)).freeze_perception(perception)
         episodes = min(self.episodes, data.training)
         found = Transitions(data.path, model, episodes, console=data.console)
@@ -136,30 +134,24 @@ def validate_perception(model: KeypointPerception, held_out: EpisodePool) -> Val
 
     The rows of the picture: frames, masks, and the frames with the sprite taken away.
     """
-    frames = _pairs(held_out).to(model.colour.device)
-    images = to_unit(frames.flatten(0, 1))
+    pairs = _apart(model, held_out)
+    images = to_unit(pairs.flatten(0, 1)[:_SHOWN])
     mask = model.motion_mask(images)
-    pixels = model.centroid(mask)
-    background = model.background(images, pixels)
-    pairs = background.reshape(-1, 2, *background.shape[1:])
-    difference = images.reshape(-1, 2, *images.shape[1:])
-    unexplained = (pairs[:, 0] - pairs[:, 1]).square().sum() / (
-        (difference[:, 0] - difference[:, 1]).square().sum().clamp_min(1e-9)
-    )
+    background = model.background(images, model.centroid(mask))
     metrics = {
-        "unexplained": float(unexplained),
+        "unexplained": model.unexplained(pairs),
         "sprite_height": float(2 * model.half_size[0]),
         "sprite_width": float(2 * model.half_size[1]),
     }
-    masks = mask[:_SHOWN, None].expand(-1, 3, -1, -1)
-    rows = [to_frames(row).cpu().numpy() for row in (images[:_SHOWN], masks, background[:_SHOWN])]
+    masks = mask[:, None].expand(-1, 3, -1, -1)
+    rows = [to_frames(row).cpu().numpy() for row in (images, masks, background)]
     return Validation(metrics, {"perception": frame_grid(rows, zoom=2)})
 
 
-def _pairs(held_out: EpisodePool) -> torch.Tensor:
-    """Two frames of held-out episodes each, uint8 ``[N, 2, S, S, 3]``."""
-    apart = min(_APART, held_out.metadata.steps)
-    return torch.from_numpy(held_out.frames[:64, [0, apart]])
+def _apart(model: KeypointPerception, held_out: EpisodePool) -> torch.Tensor:
+    """Held-out frames ten steps apart, uint8 `[N, 2, S, S, 3]`, where the model is."""
+    later = min(10, held_out.frames.shape[1] - 1)
+    return torch.from_numpy(held_out.frames[:64, [0, later]]).to(model.colour.device)
 
 
 def validate_dynamics(model: KeypointDynamics, held_out: EpisodePool) -> Validation:

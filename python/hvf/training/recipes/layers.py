@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hvf.data.loader import EpisodePool, WindowSampler
 from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
+from hvf.models.image_quality import image_psnr
 from hvf.models.layers.dynamics import LayerDynamics, LayerDynamicsConfig
 from hvf.models.layers.perception import LayerPerception
 from hvf.training.loop import LoopConfig, Validation, seeded
@@ -135,6 +136,9 @@ class LayersRecipe(Recipe):
         )
         self._fit_gallery(data, pool, perception)
         pool.close()
+        with torch.inference_mode():
+            seen = torch.from_numpy(data.held_out.frames[:, 0]).to(perception.sprites.device)
+            perception.check(seen)
         model = seeded(seed, lambda: LayerDynamics(self.model)).freeze_perception(perception)
         episodes = min(self.episodes, data.training)
         tracks = LayerTracks(data.path, perception, episodes, console=data.console)
@@ -314,7 +318,7 @@ def validate_layers(model: LayerDynamics, held_out: EpisodePool) -> Validation:
             )
         ]
     )
-    metrics["psnr"] = _psnr(drawn, to_unit(last))
+    metrics["psnr"] = float(image_psnr(drawn, to_unit(last)).mean())
     each = max(1, len(first) // _SHOWN)
     shown = torch.arange(0, len(first), each)[:_SHOWN]
     rows: list[NDArray[np.uint8]] = [
@@ -323,8 +327,3 @@ def validate_layers(model: LayerDynamics, held_out: EpisodePool) -> Validation:
         to_frames(drawn[shown]).numpy(),
     ]
     return Validation(metrics, {"predictions": frame_grid(rows, zoom=2)})
-
-
-def _psnr(guess: torch.Tensor, truth: torch.Tensor) -> float:
-    squared = (guess - truth).square().mean(dim=(1, 2, 3))
-    return float(-10 * squared.clamp_min(1e-9).log10().mean())

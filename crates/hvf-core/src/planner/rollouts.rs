@@ -1,0 +1,109 @@
+//! A world model's planning costs as what the cross-entropy method minimises.
+
+use std::borrow::Cow;
+
+use ndarray::{Array, Array2, Array3, Axis, Dimension, Ix3, Ix4};
+
+use super::cem::{Call, Objective};
+use super::model::{Candidates, Frames, SharedCandidates, WorldModel};
+use super::mpc::{Interrupt, MpcConfig, Problems};
+use super::sampler::draw_seeds;
+use crate::Result;
+
+/// The world model's costs as an objective.
+pub(super) struct Rollouts<'a, W: WorldModel> {
+    pub config: &'a MpcConfig,
+    pub world: &'a W,
+    /// Starts and goals as the model prepared them.
+    pub problems: Problems<'a, W::Frames>,
+    pub interrupt: Interrupt<'a>,
+}
+
+impl<W: WorldModel> Rollouts<'_, W> {
+    /// Actions of candidates `[.., N]`, held as long as the settings say, `[.., H, A]`.
+    fn actions<D: Dimension>(&self, candidates: Vec<f32>, shape: D) -> Array<f32, D> {
+        let dim = self.world.action_space().dim();
+        let held = hold(candidates, dim, self.config.action_repeat);
+        Array::from_shape_vec(shape, held)
+            .expect("a candidate holds horizon / action_repeat actions")
+    }
+
+    /// Seeds of the candidates of `problems` in one iteration, `[B', D]`, if the model wants them.
+    fn seeds(&self, iteration: usize, problems: &[usize]) -> Option<Array2<i64>> {
+        if !self.world.uses_seeds() {
+            return None;
+        }
+        let mut seeds = Array2::zeros((problems.len(), self.config.cem.samples));
+        for (mut row, &problem) in seeds.outer_iter_mut().zip(problems) {
+            let stream = self.problems.streams[problem].in_iteration(iteration);
+            draw_seeds(stream, iteration, row.as_slice_mut().expect("standard layout"));
+        }
+        Some(seeds)
+    }
+}
+
+/// The frames of `problems` (one frame stands for all), without a copy where that is the batch.
+fn selected<'f, F: Frames>(frames: &'f F, problems: &[usize]) -> Result<Cow<'f, F>> {
+    if frames.len() == problems.len() {
+        Ok(Cow::Borrowed(frames))
+    } else if frames.len() == 1 {
+        Ok(Cow::Owned(frames.select(&vec![0; problems.len()])?))
+    } else {
+        Ok(Cow::Owned(frames.select(problems)?))
+    }
+}
+
+impl<W: WorldModel> Objective for Rollouts<'_, W> {
+    fn problems_per_call(&self) -> usize {
+        self.world.max_candidates() / self.config.cem.samples
+    }
+
+    fn costs(&mut self, call: Call<'_>, candidates: Array3<f32>) -> Result<Array2<f32>> {
+        (self.interrupt)()?;
+        let (problems, samples, _) = candidates.dim();
+        let shape = Ix4(problems, samples, self.config.horizon, self.world.action_space().dim());
+        let actions = self.actions(candidates.into_raw_vec_and_offset().0, shape);
+        let seeds = self.seeds(call.iteration, call.problems);
+        let Problems { starts, goals, .. } = self.problems;
+        let starts = selected(starts, call.problems)?;
+        let goals = selected(goals, call.problems)?;
+        self.world.rollout_costs(&starts, &goals, Candidates { actions, seeds })
+    }
+
+    fn shared_costs(
+        &mut self,
+        call: Call<'_>,
+        candidates: &Array2<f32>,
+    ) -> Option<Result<Array2<f32>>> {
+        if !self.problems.share_rollouts || self.problems.starts.len() != 1 {
+            return None;
+        }
+        if let Err(stop) = (self.interrupt)() {
+            return Some(Err(stop));
+        }
+        let goals = match selected(self.problems.goals, call.problems) {
+            Ok(goals) => goals,
+            Err(error) => return Some(Err(error)),
+        };
+        let dim = self.world.action_space().dim();
+        let shape = Ix3(candidates.nrows(), self.config.horizon, dim);
+        let actions = self.actions(candidates.iter().copied().collect(), shape);
+        // All problems have one stream in the iteration that they share.
+        let seeds = self.seeds(call.iteration, &call.problems[..1]);
+        let seeds = seeds.map(|seeds| seeds.index_axis_move(Axis(0), 0));
+        let candidates = SharedCandidates { actions, seeds };
+        self.world.shared_rollout_costs(self.problems.starts, &goals, candidates)
+    }
+
+    fn describe(&self, problem: usize) -> String {
+        format!("rollout_costs for {}", (self.problems.describe)(problem))
+    }
+}
+
+/// Every action `repeat` times: `[.., H / repeat, A]` to `[.., H, A]`.
+pub(super) fn hold(actions: Vec<f32>, dim: usize, repeat: usize) -> Vec<f32> {
+    if repeat == 1 {
+        return actions;
+    }
+    actions.chunks_exact(dim).flat_map(|action| action.repeat(repeat)).collect()
+}
