@@ -11,8 +11,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hvf.data.collect import CollectConfig, collect_maze
 from hvf.data.loader import EpisodePool, PairSampler
+from hvf.domains.maze_collection import MazeCollection
 
 EPISODES, STEPS, FULL = 400, 100, 10_000
 
@@ -20,9 +20,7 @@ EPISODES, STEPS, FULL = 400, 100, 10_000
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        path = collect_maze(
-            CollectConfig(Path(folder) / "maze.h5", EPISODES, STEPS), Console(quiet=True)
-        )
+        path = MazeCollection(Path(folder) / "maze.h5", EPISODES, STEPS).run(Console(quiet=True))
         seconds = time.perf_counter() - began
         size = path.stat().st_size
         print(f"collect: {EPISODES / seconds:.0f} episodes/s of {STEPS} steps")

@@ -15,9 +15,9 @@ from rich.console import Console
 from torch import nn
 
 import hvf_core
-from hvf.data.collect import CollectConfig, collect_maze
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
+from hvf.domains.maze_collection import MazeCollection
 from hvf.models.checkpoint import load_model, read_header
 from hvf.models.frames import to_unit
 from hvf.models.vae import (
@@ -284,7 +284,7 @@ def test_centre_names_bad_frames() -> None:
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("data") / "maze.h5"
-    return collect_maze(CollectConfig(path, episodes=30, steps=10))
+    return MazeCollection(path, episodes=30, steps=10).run()
 
 
 class Squares:

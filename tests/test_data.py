@@ -15,10 +15,11 @@ from hypothesis import HealthCheck, given, settings
 
 import hvf_core
 import processes
-from hvf.data.collect import CollectConfig, collect, collect_maze
+from hvf.data.collect import CollectConfig, collect
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import EpisodeFile, write_episodes
 from hvf.data.loader import EpisodePool, PairSampler, WindowSampler
+from hvf.domains.maze_collection import MazeCollection
 
 STEPS = 6
 
@@ -47,7 +48,7 @@ def numbers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_collected_file_holds_what_the_maze_gives(tmp_path: Path) -> None:
-    path = collect_maze(CollectConfig(tmp_path / "maze.h5", 7, 5, seed=3, part=2))
+    path = MazeCollection(tmp_path / "maze.h5", 7, 5, seed=3, part=2).run()
     frames, actions, states = hvf_core.maze_collect(3, 0, 7, 5, 64)
     with h5py.File(path) as file:  # as any HDF5 program reads it
         np.testing.assert_array_equal(file["frames"][...], frames)
@@ -60,13 +61,13 @@ def test_a_collected_file_holds_what_the_maze_gives(tmp_path: Path) -> None:
 
 
 def test_the_parts_it_was_collected_in_do_not_show(tmp_path: Path) -> None:
-    one = collect_maze(CollectConfig(tmp_path / "one.h5", 9, 4, part=9))
-    many = collect_maze(CollectConfig(tmp_path / "many.h5", 9, 4, part=2))
+    one = MazeCollection(tmp_path / "one.h5", 9, 4, part=9).run()
+    many = MazeCollection(tmp_path / "many.h5", 9, 4, part=2).run()
     assert one.read_bytes() == many.read_bytes()
 
 
 def test_a_killed_collection_goes_on_to_the_same_file(tmp_path: Path) -> None:
-    whole = collect_maze(CollectConfig(tmp_path / "whole.h5", 150, 10, part=5))
+    whole = MazeCollection(tmp_path / "whole.h5", 150, 10, part=5).run()
     out = tmp_path / "killed.h5"
     words = ("collect", "maze", "--out", str(out), "--episodes", "150", "--steps", "10")
     parts = tmp_path / "killed.h5.parts"
@@ -83,7 +84,7 @@ def test_a_killed_collection_goes_on_to_the_same_file(tmp_path: Path) -> None:
     maze_collect = hvf_core.maze_collect
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(hvf_core, "maze_collect", lambda *a: calls.append(a[1]) or maze_collect(*a))
-        collect_maze(CollectConfig(out, 150, 10, part=5))
+        MazeCollection(out, 150, 10, part=5).run()
     assert len(kept) == 5
     assert len(calls) <= 30 - 5
     assert out.read_bytes() == whole.read_bytes()
@@ -106,7 +107,7 @@ def test_ctrl_c_keeps_the_parts_done(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_leaves_what_was_there(tmp_path: Path) -> None:
-    out = collect_maze(CollectConfig(tmp_path / "maze.h5", 2, 4))
+    out = MazeCollection(tmp_path / "maze.h5", 2, 4).run()
     before = out.read_bytes()
     limited = (
         "import resource, signal, sys; from hvf.cli import main;"

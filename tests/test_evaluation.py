@@ -436,7 +436,12 @@ def test_a_report_says_all_that_a_result_depends_on(tmp_path: Path) -> None:
     out = tmp_path / "report.json"
     report = evaluate(evaluation, 1, out, console=QUIET)
     assert load(out).head == json.loads(json.dumps(report.head))
-    assert (report.domain, report.task, report.method, report.subgoals) == ("maze", "hard", "hvf", 1)
+    assert (report.domain, report.task, report.method, report.subgoals) == (
+        "maze",
+        "hard",
+        "hvf",
+        1,
+    )
     assert report.world == {
         "dynamics": "keypoint",
         "generator": "keypoint-generator",

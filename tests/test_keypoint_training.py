@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 import hvf_core
-from hvf.data.collect import CollectConfig, collect_maze
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
+from hvf.domains.maze_collection import MazeCollection
 from hvf.settings import Planning
 
 torch = pytest.importorskip("torch")
@@ -43,7 +43,7 @@ SHORT = LoopConfig(
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("data") / "maze.h5"
-    collect_maze(CollectConfig(path, episodes=60, steps=10), Console(file=io.StringIO()))
+    MazeCollection(path, episodes=60, steps=10).run(Console(file=io.StringIO()))
     return path
 
 
@@ -128,7 +128,7 @@ def test_another_perception_or_other_data_is_looked_at_again(data: Path, tmp_pat
         model.perception.mask[0].weight.mul_(1.01)
     assert not (Transitions(own, model, episodes=2).keypoints == before).all()
     assert len(list(folder.iterdir())) == 2
-    collect_maze(CollectConfig(own, episodes=60, steps=10, seed=1, overwrite=True), QUIET)
+    MazeCollection(own, episodes=60, steps=10, seed=1, overwrite=True).run(QUIET)
     Transitions(own, model, episodes=2)
     assert len(list(folder.iterdir())) == 3
 
@@ -155,7 +155,7 @@ def test_damaged_tracks_are_made_again_and_a_place_that_refuses_them_is_no_error
 
 
 def test_the_keypoint_model_takes_its_sizes_from_the_data(tmp_path: Path) -> None:
-    data = collect_maze(CollectConfig(tmp_path / "small.h5", 20, 10, image_size=32), QUIET)
+    data = MazeCollection(tmp_path / "small.h5", 20, 10, image_size=32).run(QUIET)
     loops = {"perception_loop": SHORT, "loop": SHORT}
     model = train("keypoint", data, out=tmp_path / "run", console=QUIET, **loops)
     assert model.config.perception.image_size == 32
@@ -165,7 +165,7 @@ def test_the_keypoint_model_takes_its_sizes_from_the_data(tmp_path: Path) -> Non
 def test_short_episodes_are_enough_or_one_clear_error(tmp_path: Path) -> None:
     loops = {"perception_loop": SHORT, "loop": SHORT}
     for steps in (5, 4):
-        data = collect_maze(CollectConfig(tmp_path / f"{steps}.h5", 20, steps), QUIET)
+        data = MazeCollection(tmp_path / f"{steps}.h5", 20, steps).run(QUIET)
         if steps == 5:
             with pytest.warns(UserWarning, match="of what changes between frames"):
                 train("keypoint", data, out=tmp_path / "run", console=QUIET, **loops)

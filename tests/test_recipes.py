@@ -19,10 +19,10 @@ from rich.console import Console
 
 import toy_desk as toy
 from hvf.cli import main
-from hvf.data.collect import CollectConfig, collect_maze
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
 from hvf.data.loader import EpisodePool, WindowSampler
+from hvf.domains.maze_collection import MazeCollection
 from hvf.models.checkpoint import load_any, read_header
 from hvf.models.entry import ModelEntry
 from hvf.models.vae import PAPER_CVAE, CVAEConfig
@@ -40,7 +40,7 @@ SHORT = LoopConfig(steps=2, device="cpu", threads=1)
 @pytest.fixture(scope="module")
 def maze(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("maze") / "maze.h5"
-    return collect_maze(CollectConfig(path, episodes=24, steps=10), QUIET)
+    return MazeCollection(path, episodes=24, steps=10).run(QUIET)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_fields_that_fit_only_together_are_set_together() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"bath_size": 3}, "CVAERecipe has no setting 'bath_size'; it has batch_size, data"),
+        ({"bath_size": 3}, "CVAERecipe has no setting 'bath_size'; it has batch_size, camera"),
         ({"loop.stps": 3}, "LoopConfig has no setting 'stps'"),
         ({"batch_size.x": 3}, "CVAERecipe.batch_size has no setting 'x'"),
         ({"batch_size": 0}, "batch_size must be at least 1"),
@@ -239,6 +239,32 @@ def test_the_largest_action_is_that_of_the_box_if_the_data_has_one(
     with TrainingData(own_data, 0, QUIET) as data:
         data.metadata = SimpleNamespace(action_low=low, action_high=high)  # type: ignore[assignment]
         assert data.largest_action == largest
+
+
+def test_episodes_of_different_lengths_train_what_can_take_them(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    frames = rng.integers(0, 256, (30, 13, 16, 16, 3), np.uint8)
+    lengths = rng.integers(10, 13, 30)
+    lengths[0] = 12
+    for i, length in enumerate(lengths):
+        frames[i, length + 1 :] = 0
+    actions = np.zeros((30, 12, 2), np.float32)
+    path = tmp_path / "video.h5"
+    metadata = Metadata("video", {}, None, 12, 30, {}, cameras=("front",))
+    write_episodes(path, metadata, Episodes(frames, actions, lengths=lengths))
+    small = {"channels": (4, 8), "strides": (2, 2), "pyramid_levels": 2}
+    settings = {"loop": SHORT, "batch_size": 2, "console": QUIET}
+    model = train("cvae", path, out=tmp_path / "cvae", camera="front", model=small, **settings)
+    assert read_header(tmp_path / "cvae/model.safetensors").training["camera"] == "front"
+    # The mean image is of every tenth frame of those that there are.
+    seen = [frames[i, ::10][: (lengths[i] // 10) + 1] for i in range(29)]
+    expected = np.concatenate(seen).mean(axis=0).transpose(2, 0, 1) / 255
+    np.testing.assert_allclose(model.mean_image.numpy(), expected, atol=1e-5)
+    with pytest.raises(ValueError, match="front"):
+        train("cvae", path, out=tmp_path / "side", camera="side", model=small, **settings)
+    with pytest.raises(ValueError, match=r"video\.h5: episodes are 10 to 12 steps long"):
+        train("keypoint", path, out=tmp_path / "keypoint", console=QUIET)
+    assert not (tmp_path / "keypoint").exists()
 
 
 def test_files_are_closed_whatever_happens(

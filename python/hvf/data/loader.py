@@ -9,35 +9,38 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hvf.data.formats.hdf5 import EpisodeFile
-
-Split = Literal["train", "validation"]
+from hvf.data.formats import open_episodes
+from hvf.data.splits import Split, episodes_of
 
 
 class EpisodePool:
     """Decoded episodes in memory.
 
     Args:
-        path: file of episodes.
-        split: ``validation`` is the last twentieth of the file (1 to 200 episodes), ``train`` the
-            rest.
+        path: file of episodes, of any registered format.
+        split: which of its episodes, see :mod:`hvf.data.splits`: ``validation`` is the last
+            twentieth (1 to 200 episodes), ``train`` the rest.
         environment: the environment that the file must be from.
         memory_gb: memory for decoded frames; when all episodes fit, they are all held.
         refresh: episodes exchanged at every step when they do not fit.
         seed: of the order in which episodes pass through the pool.
+        camera: whose frames to read; the file's first one by default.
 
     Attributes:
         frames: uint8 ``[P, T+1, H, W, 3]``, the episodes that the pool holds now.
         actions: float32 ``[P, T, A]``.
+        lengths: int64 ``[P]``, steps of each of them; what is after its end is zero.
+        longest: steps of the longest episode of the split.
+        metadata: where the episodes of the file come from.
 
     Raises:
-        ValueError, FileNotFoundError: as :class:`EpisodeFile`; or an argument out of range.
+        ValueError, FileNotFoundError: as :func:`~hvf.data.formats.open_episodes`; or an argument
+            out of range.
     """
 
     def __init__(
@@ -49,28 +52,31 @@ class EpisodePool:
         memory_gb: float = 2.0,
         refresh: int = 1,
         seed: int = 0,
+        camera: str | None = None,
     ) -> None:
         if not (np.isfinite(memory_gb) and memory_gb > 0):
             raise ValueError(f"memory_gb must be positive, got {memory_gb}")
         if refresh < 0:
             raise ValueError(f"refresh must not be negative, got {refresh}")
-        self._file = EpisodeFile(path, environment)
+        self._file = open_episodes(path, environment, camera=camera)
         self.metadata = self._file.metadata
-        total = len(self._file)
-        if total < 2:
-            raise ValueError(f"{path}: needs at least 2 episodes to hold one out, has {total}")
-        held_out = min(max(total // 20, 1), 200)
-        self._first = 0 if split == "train" else total - held_out
-        self._episodes = total - held_out if split == "train" else held_out
+        try:
+            self._episodes = episodes_of(split, self.metadata)
+        except ValueError as error:
+            self._file.close()
+            raise ValueError(f"{path}: {error}") from error
+        self.longest = int(self._file.lengths[self._episodes].max())
         steps = self.metadata.steps
         episode = (steps + 1) * int(np.prod(self._file.frame_shape))
-        capacity = max(1, min(self._episodes, int(memory_gb * 1e9 / episode)))
-        self._refresh = 0 if capacity == self._episodes else refresh
+        total = len(self._episodes)
+        capacity = max(1, min(total, int(memory_gb * 1e9 / episode)))
+        self._refresh = 0 if capacity == total else refresh
         self._seed = seed
         self._orders: dict[int, NDArray[np.int64]] = {}
         self._held = np.full(capacity, -1)
         self.frames = np.empty((capacity, steps + 1, *self._file.frame_shape), np.uint8)
         self.actions = np.empty((capacity, steps, self._file.action_dim), np.float32)
+        self.lengths = np.zeros(capacity, np.int64)
 
     def __len__(self) -> int:
         return len(self._held)
@@ -84,6 +90,7 @@ class EpisodePool:
         wanted = np.array([self._episode(int(place)) for place in places[self._stale(places)]])
         for slot, episode in zip(np.flatnonzero(self._stale(places)), wanted, strict=True):
             self._file.read_into(int(episode), self.frames[slot], self.actions[slot])
+            self.lengths[slot] = self._file.lengths[episode]
         self._held = places
 
     def close(self) -> None:
@@ -95,20 +102,21 @@ class EpisodePool:
 
     def _episode(self, place: int) -> int:
         """The episode at ``place`` of the endless order: one permutation after another."""
-        lap, offset = divmod(place, self._episodes)
+        lap, offset = divmod(place, len(self._episodes))
         if lap not in self._orders:
             rng = np.random.default_rng([self._seed, lap])
             self._orders = {
                 **{old: order for old, order in self._orders.items() if old >= lap - 1},
-                lap: rng.permutation(self._episodes),
+                lap: rng.permutation(len(self._episodes)),
             }
-        return self._first + int(self._orders[lap][offset])
+        return self._episodes[int(self._orders[lap][offset])]
 
 
 class PairSampler:
     """Two images of one episode: the scene, and an image that is possible in it.
 
-    Batches hold ``scene`` and ``image``, uint8 ``[B, H, W, 3]``, at times drawn uniformly.
+    Batches hold ``scene`` and ``image``, uint8 ``[B, H, W, 3]``: an episode drawn uniformly, and
+    two of its times.
     """
 
     def __init__(self, pool: EpisodePool, batch_size: int, seed: int = 0) -> None:
@@ -123,7 +131,7 @@ class PairSampler:
         self._pool.move_to(step)
         rng = np.random.default_rng([self._seed, step])
         episodes = rng.integers(len(self._pool), size=self._batch_size)
-        times = rng.integers(self._pool.metadata.steps + 1, size=(2, self._batch_size))
+        times = rng.integers(self._pool.lengths[episodes] + 1, size=(2, self._batch_size))
         frames = self._pool.frames
         return {
             "scene": torch.from_numpy(frames[episodes, times[0]]),
@@ -135,27 +143,36 @@ class WindowSampler:
     """Stretches of consecutive frames with their actions.
 
     Batches hold ``frames``, uint8 ``[B, L+1, H, W, 3]``, and ``actions``, float32 ``[B, L, A]``,
-    for ``L`` = ``length``, from starts drawn uniformly.
+    for ``L`` = ``length``: an episode drawn uniformly among those that are long enough, and a start
+    in it.
     """
 
     def __init__(self, pool: EpisodePool, batch_size: int, length: int, seed: int = 0) -> None:
         if batch_size < 1:
             raise ValueError(f"batch_size must be at least 1, got {batch_size}")
-        if not 1 <= length <= pool.metadata.steps:
-            raise ValueError(f"length must be from 1 to {pool.metadata.steps}, got {length}")
+        if not 1 <= length <= pool.longest:
+            raise ValueError(f"length must be from 1 to {pool.longest}, got {length}")
         self._pool = pool
         self._batch_size = batch_size
         self._length = length
         self._seed = seed
 
     def batch(self, step: int) -> Mapping[str, torch.Tensor]:
-        """The batch of training step ``step``, a function of (seed, step)."""
+        """The batch of training step ``step``, a function of (seed, step).
+
+        Raises:
+            ValueError: no episode that is in memory at this step is long enough.
+        """
         self._pool.move_to(step)
         rng = np.random.default_rng([self._seed, step])
-        episodes = rng.integers(len(self._pool), size=(self._batch_size, 1))
-        starts = rng.integers(
-            self._pool.metadata.steps - self._length + 1, size=(self._batch_size, 1)
-        )
+        enough = np.flatnonzero(self._pool.lengths >= self._length)
+        if not len(enough):
+            raise ValueError(
+                f"length: none of the {len(self._pool)} episodes in memory at step {step} has "
+                f"{self._length} steps; hold more of them (memory_gb)"
+            )
+        episodes = enough[rng.integers(len(enough), size=(self._batch_size, 1))]
+        starts = rng.integers(self._pool.lengths[episodes] - self._length + 1)
         return {
             "frames": torch.from_numpy(
                 self._pool.frames[episodes, starts + np.arange(self._length + 1)]

@@ -87,5 +87,5 @@ def _read(
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     parts = [file.read(number, 1) for number in episodes]
     frames = np.concatenate([part.frames[0, ::stride] for part in parts])
-    states = np.concatenate([part.states[0, ::stride] for part in parts])
+    states = np.concatenate([part.true_states[0, ::stride] for part in parts])
     return frames, states.astype(np.float32)

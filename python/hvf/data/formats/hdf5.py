@@ -1,19 +1,24 @@
-"""Episodes in one HDF5 file.
+"""The project's own format: episodes in one HDF5 file.
 
-Shapes: ``N`` episodes of ``T`` steps, frames of ``H`` x ``W`` pixels, ``A`` action dimensions,
-``S`` state dimensions.
+Letters in shapes are those of :mod:`hvf.data.episodes`.
 
 ====================  ========================  ==================================================
-``frames``            uint8 ``[N,T+1,H,W,3]``   gzip, one chunk per episode
+``frames``            uint8 ``[N,T+1,H,W,3]``   of the first camera; gzip, one chunk per episode
+``frames of <name>``  uint8 ``[N,T+1,H,W,3]``   of each further camera; other H and W are possible
 ``actions``           float32 ``[N,T,A]``       action ``t`` leads from frame ``t`` to ``t + 1``
 ``states``            float64 ``[N,T+1,S]``     true states, for probes and evaluation, never for
-                                                training
+                                                training; not there where nobody knows them
+``lengths``           int64 ``[N]``             steps of each episode, 1 to T; the rest is zeros
 ====================  ========================  ==================================================
 
-Attributes of the file: ``format``, ``environment``, ``parameters`` (JSON), ``seed``, ``steps``,
-``episodes``, ``versions`` (JSON), ``diverged``. Episodes repeat most of their pixels, which gzip's
-32 KB window sees across frames of 12 KB: 100 steps of the maze take about 30 KB, and decode at
-100,000 frames/s.
+Attributes of the file: ``format`` (``hvf-episodes-2``), ``environment``, ``parameters`` (JSON),
+``seed`` (not there for what was recorded in the world), ``steps``, ``episodes``, ``versions``
+(JSON), ``diverged``, ``cameras`` (JSON), ``action_names`` (JSON), ``action_low`` and
+``action_high`` (JSON, null if not known). Version 1 has neither ``lengths`` nor the last four, and
+always has states; it can be read.
+
+Episodes repeat most of their pixels, which gzip's 32 KB window sees across frames of 12 KB: 100
+steps of the maze take about 30 KB, and decode at 100,000 frames/s. Padding takes next to nothing.
 """
 
 from __future__ import annotations
@@ -22,7 +27,7 @@ import contextlib
 import errno
 import json
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -33,18 +38,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hvf.data.episodes import Episodes, Metadata
+from hvf.data.formats import Format, check_environment
 
-FORMAT = "hvf-episodes-1"
-_DATASETS = ("frames", "actions", "states")
+FORMAT = "hvf-episodes-2"
+_VERSION_1 = "hvf-episodes-1"
 # Level 1 compresses at 400 MB/s a core here, level 4 at 170 MB/s to 60% of the size.
 _GZIP_LEVEL = 1
+# More than gzip ever makes of a byte.
+_MOST_DEFLATED = 1100
+# What h5py and json make of damage, beside an OSError.
+_DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)
+
+Views = Mapping[str, NDArray[np.uint8]]
 
 
-def write_episodes(path: Path, metadata: Metadata, episodes: Episodes, threads: int = 2) -> None:
+def write_episodes(
+    path: Path,
+    metadata: Metadata,
+    episodes: Episodes,
+    threads: int = 2,
+    views: Views | None = None,
+) -> None:
     """Write a new file at ``path``, in place: wrap with :func:`hvf.files.replacing`.
 
+    Args:
+        path: file to write.
+        metadata: where the episodes come from.
+        episodes: the episodes, as the first of ``metadata.cameras`` saw them.
+        threads: how many compress frames.
+        views: frames of the further cameras by their names, in the order of ``metadata.cameras``.
+
     Raises:
-        ValueError: ``metadata`` and ``episodes`` disagree.
+        ValueError: ``metadata``, ``episodes`` and ``views`` disagree.
+        TypeError: views of another dtype.
         OSError: the file cannot be written.
     """
     if (metadata.episodes, metadata.steps) != episodes.actions.shape[:2]:
@@ -52,58 +78,97 @@ def write_episodes(path: Path, metadata: Metadata, episodes: Episodes, threads: 
             f"metadata says {metadata.episodes} episodes of {metadata.steps} steps, "
             f"actions has {episodes.actions.shape}"
         )
+    metadata.check_actions(episodes.actions.shape[2])
+    views = dict(views or {})
+    if metadata.cameras[1:] != tuple(views):
+        raise ValueError(f"views: metadata names {metadata.cameras[1:]}, got {tuple(views)}")
+    for name, frames in views.items():
+        # As Episodes does it.
+        try:
+            Episodes(frames, episodes.actions)
+        except (ValueError, TypeError) as error:
+            raise type(error)(f"views: camera {name!r}: {error}") from error
 
-    def compress(frames: NDArray[np.uint8]) -> bytes:
-        return zlib.compress(np.ascontiguousarray(frames).data, _GZIP_LEVEL)
+    lengths = episodes.lengths
+
+    def compress(frames: NDArray[np.uint8], length: int) -> bytes:
+        whole = _ended(frames[None], np.array([length + 1]))
+        return zlib.compress(np.ascontiguousarray(whole).data, _GZIP_LEVEL)
 
     with _create(path, metadata) as file, ThreadPoolExecutor(max(1, threads)) as pool:
-        frames = _dataset(file, "frames", episodes.frames.shape, np.uint8)
-        for i, chunk in enumerate(pool.map(compress, episodes.frames)):
-            frames.id.write_direct_chunk((i, 0, 0, 0, 0), chunk)
-        _dataset(file, "actions", episodes.actions.shape, np.float32)[...] = episodes.actions
-        _dataset(file, "states", episodes.states.shape, np.float64)[...] = episodes.states
+        seen = {"frames": episodes.frames, **{_seen_by(name): views[name] for name in views}}
+        for name, frames in seen.items():
+            written = _dataset(file, name, frames.shape, np.uint8)
+            for i, chunk in enumerate(pool.map(compress, frames, lengths)):
+                written.id.write_direct_chunk((i, 0, 0, 0, 0), chunk)
+        actions = _dataset(file, "actions", episodes.actions.shape, np.float32)
+        actions[...] = _ended(episodes.actions, lengths)
+        if episodes.states is not None:
+            states = _dataset(file, "states", episodes.states.shape, np.float64)
+            states[...] = _ended(episodes.states, lengths + 1)
+        file.create_dataset("lengths", data=lengths, track_times=False)
 
 
-def join_files(path: Path, metadata: Metadata, parts: list[Path]) -> None:
+def join_files(path: Path, metadata: Metadata, parts: Sequence[Path]) -> None:
     """Write the episodes of ``parts``, in order, to a new file at ``path``, in place.
 
     Compressed chunks are copied as they are.
 
     Raises:
-        ValueError: ``parts`` do not hold ``metadata.episodes`` episodes, or one is damaged.
+        ValueError: ``parts`` do not hold ``metadata.episodes`` episodes, one is damaged, or they
+            hold other arrays than the first.
+        FileNotFoundError: one is not there.
         OSError: the file cannot be written.
     """
     with _create(path, metadata) as file:
-        for name in _DATASETS:
+        with EpisodeFile(parts[0]) as source:
+            shapes = {name: (old.shape[1:], old.dtype) for name, old in source.arrays().items()}
+        lengths = np.zeros(metadata.episodes, np.int64)
+        for name, (shape, dtype) in shapes.items():
+            new = _dataset(file, name, (metadata.episodes, *shape), dtype)
+            rest = (0,) * len(shape)
             first = 0
             for part in parts:
                 with EpisodeFile(part) as source:
-                    old = source.dataset(name)
-                    shape = (metadata.episodes, *old.shape[1:])
-                    new = file[name] if first else _dataset(file, name, shape, old.dtype)
-                    rest = (0,) * (len(shape) - 1)
-                    for i in range(min(len(source), metadata.episodes - first)):
-                        mask, chunk = old.id.read_direct_chunk((i, *rest))
+                    arrays = source.arrays()
+                    if {n: (a.shape[1:], a.dtype) for n, a in arrays.items()} != shapes:
+                        raise ValueError(f"{part}: holds other arrays than {parts[0]}")
+                    count = min(len(source), metadata.episodes - first)
+                    for i in range(count):
+                        mask, chunk = arrays[name].id.read_direct_chunk((i, *rest))
                         new.id.write_direct_chunk((first + i, *rest), chunk, mask)
+                    lengths[first : first + count] = source.lengths[:count]
                     first += len(source)
             if first < metadata.episodes:
                 raise ValueError(f"parts hold {first} episodes, expected {metadata.episodes}")
+        file.create_dataset("lengths", data=lengths, track_times=False)
 
 
 class EpisodeFile:
     """A file of episodes, open for reading.
 
     Args:
-        path: a file that ``hvf collect`` wrote.
+        path: a file that ``hvf collect`` or :func:`write_episodes` wrote.
         environment: if given, the environment that the file must be from.
+        camera: whose frames to read; the first one's by default.
+
+    Attributes:
+        path: the file.
+        metadata: where the episodes come from.
+        lengths: steps of each episode, int64 ``[N]``.
+        version: format and version of the file, such as ``hvf-episodes-2``.
 
     Raises:
         FileNotFoundError: no file at ``path``.
-        ValueError: not HDF5, truncated, of another program or version, inconsistent, or from
-            another environment; names ``path``.
+        ValueError: not HDF5, truncated, of another program or version, inconsistent, from another
+            environment, or without this camera; names ``path``.
     """
 
-    def __init__(self, path: str | Path, environment: str | None = None) -> None:
+    lengths: NDArray[np.int64]
+
+    def __init__(
+        self, path: str | Path, environment: str | None = None, camera: str | None = None
+    ) -> None:
         self.path = Path(path)
         if not self.path.is_file():
             raise FileNotFoundError(f"{path}: no such data file")
@@ -112,7 +177,9 @@ class EpisodeFile:
         except OSError as error:
             raise ValueError(f"{path}: not an HDF5 file, or truncated ({error})") from error
         try:
-            self.metadata = self._check(environment)
+            self.metadata, self.lengths = self._check()
+            check_environment(self.path, self.metadata, environment)
+            self._frames = self._frames_of(camera)
         except BaseException:
             self._file.close()
             raise
@@ -147,8 +214,17 @@ class EpisodeFile:
         return int(self.dataset("actions").shape[2])
 
     def dataset(self, name: str) -> Any:
-        """The h5py dataset ``frames``, ``actions`` or ``states``."""
-        return self._file[name]
+        """The h5py dataset ``frames`` (of this camera), ``actions`` or ``states``.
+
+        Raises:
+            KeyError: there are no states.
+        """
+        return self._file[self._frames if name == "frames" else name]
+
+    def arrays(self) -> dict[str, Any]:
+        """All datasets of the file but the lengths, by name, with one chunk per episode."""
+        names = ["frames", *map(_seen_by, self.metadata.cameras[1:]), "actions", *self._states()]
+        return {name: self._file[name] for name in names}
 
     def read(self, first: int, count: int) -> Episodes:
         """Decode episodes ``first`` to ``first + count``.
@@ -161,12 +237,19 @@ class EpisodeFile:
             raise IndexError(f"episodes {first} to {first + count} of {self.path}: has {len(self)}")
         last = first + count
         try:
-            return Episodes(*(self.dataset(name)[first:last] for name in _DATASETS))
-        except OSError as error:
+            return Episodes(
+                self.dataset("frames")[first:last],
+                self.dataset("actions")[first:last],
+                self.dataset("states")[first:last] if self._states() else None,
+                lengths=self.lengths[first:last],
+            )
+        except _DAMAGE as error:
             raise ValueError(f"{self.path}: a damaged episode ({error})") from error
 
     def read_into(self, index: int, frames: NDArray[np.uint8], actions: NDArray[Any]) -> None:
         """Decode episode ``index`` into ``frames [T+1,H,W,3]`` and ``actions [T,A]``.
+
+        What is after its end is filled with zeros.
 
         Raises:
             ValueError: a damaged episode; names the file.
@@ -174,49 +257,93 @@ class EpisodeFile:
         try:
             self.dataset("frames").read_direct(frames, np.s_[index])
             self.dataset("actions").read_direct(actions, np.s_[index])
-        except OSError as error:
+        except (OSError, RuntimeError) as error:
             raise ValueError(f"{self.path}: episode {index} is damaged ({error})") from error
 
-    def _check(self, environment: str | None) -> Metadata:
-        attributes = self._file.attrs
-        found = attributes.get("format")
-        if found != FORMAT:
-            raise ValueError(
-                f"{self.path}: is not a file of episodes of this program "
-                f"(format {found!r}, expected {FORMAT!r})"
-            )
+    def _states(self) -> list[str]:
+        return ["states"] if "states" in self._file else []
+
+    def _frames_of(self, camera: str | None) -> str:
+        """Name of the dataset of a camera's frames."""
+        cameras = self.metadata.cameras
+        if camera is not None and camera not in cameras:
+            raise ValueError(f"{self.path}: has no camera {camera!r}, only {list(cameras)}")
+        return "frames" if camera is None or camera == cameras[0] else _seen_by(camera)
+
+    def _check(self) -> tuple[Metadata, NDArray[np.int64]]:
         try:
-            metadata = Metadata(
-                environment=str(attributes["environment"]),
-                parameters=json.loads(attributes["parameters"]),
-                seed=int(attributes["seed"]),
-                steps=int(attributes["steps"]),
-                episodes=int(attributes["episodes"]),
-                versions=json.loads(attributes["versions"]),
-                diverged=int(attributes.get("diverged", 0)),
-            )
-            shapes = [self._file[name].shape for name in _DATASETS]
-            dtypes = [self._file[name].dtype for name in _DATASETS]
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            raise ValueError(f"{self.path}: damaged metadata ({error})") from error
-        n, t = metadata.episodes, metadata.steps
-        sizes = [shape[:2] for shape in shapes]
-        ranks = [len(shape) for shape in shapes]
-        if (
-            n < 1
-            or sizes != [(n, t + 1), (n, t), (n, t + 1)]
-            or ranks != [5, 3, 3]
-            or dtypes != [np.uint8, np.float32, np.float64]
-        ):
+            self.version = str(self._file.attrs.get("format"))
+        except _DAMAGE as error:
+            raise ValueError(f"{self.path}: damaged ({error})") from error
+        if self.version not in (FORMAT, _VERSION_1):
             raise ValueError(
-                f"{self.path}: damaged: {n} episodes of {t} steps do not fit arrays {shapes}"
+                f"{self.path}: is not a file of episodes that this version of the program reads "
+                f"(format {self.version!r}, expected {FORMAT!r})"
             )
-        if environment is not None and metadata.environment != environment:
-            raise ValueError(
-                f"{self.path}: is from environment {metadata.environment!r}, "
-                f"expected {environment!r}"
-            )
-        return metadata
+        first = self.version == _VERSION_1
+        try:
+            metadata = _read_metadata(self._file.attrs, first)
+            names = ["actions", "frames", *map(_seen_by, metadata.cameras[1:])]
+            if first or self._states():
+                names.append("states")
+            n, t = metadata.episodes, metadata.steps
+            size = self.path.stat().st_size
+            for name in names:
+                array = self._file[name]
+                _check_array(name, array.shape, array.dtype, n, t)
+                if array.nbytes > _MOST_DEFLATED * size:
+                    raise ValueError(f"{name} {array.shape} are more than the file can hold")
+            metadata.check_actions(self._file["actions"].shape[2])
+            lengths = np.full(n, t, np.int64)
+            if not first:
+                array = self._file["lengths"]
+                if array.dtype != np.int64 or array.shape != (n,):
+                    raise ValueError(f"lengths are {array.dtype} {array.shape}")
+                array.read_direct(lengths)
+            if lengths.min() < 1 or lengths.max() > t:
+                raise ValueError(f"lengths are {lengths.min()} to {lengths.max()} of {t} steps")
+        except _DAMAGE as error:
+            raise ValueError(f"{self.path}: damaged ({error})") from error
+        return metadata, lengths
+
+
+def _sniff(path: Path) -> bool:
+    try:
+        with h5py.File(path, "r") as file:
+            return str(file.attrs.get("format")).startswith("hvf-episodes-")
+    except _DAMAGE:
+        return False
+
+
+HVF = Format("hvf", (".h5", ".hdf5"), _sniff, lambda path, camera: EpisodeFile(path, camera=camera))
+"""This format, for the registry."""
+
+
+def _check_array(name: str, shape: tuple[int, ...], dtype: Any, n: int, t: int) -> None:
+    rank, kind = {"actions": (3, "float32"), "states": (3, "float64")}.get(name, (5, "uint8"))
+    wanted = (n, t if name == "actions" else t + 1)
+    if shape[:2] != wanted or len(shape) != rank or dtype != kind or 0 in shape:
+        raise ValueError(f"{n} episodes of {t} steps do not fit {name}: {dtype} {shape}")
+    if rank == 5 and shape[4] != 3:
+        raise ValueError(f"{name} have {shape[4]} channels, expected 3")
+
+
+def _read_metadata(attributes: Any, first: bool) -> Metadata:
+    later: dict[str, Any] = {}
+    if not first:
+        for name in ("cameras", "action_names", "action_low", "action_high"):
+            value = json.loads(attributes[name])
+            later[name] = None if value is None else tuple(value)
+    return Metadata(
+        environment=str(attributes["environment"]),
+        parameters=json.loads(attributes["parameters"]),
+        seed=int(attributes["seed"]) if first or "seed" in attributes else None,
+        steps=int(attributes["steps"]),
+        episodes=int(attributes["episodes"]),
+        versions=json.loads(attributes["versions"]),
+        diverged=int(attributes.get("diverged", 0)),
+        **later,
+    )
 
 
 @contextlib.contextmanager
@@ -226,14 +353,17 @@ def _create(path: Path, metadata: Metadata) -> Iterator[Any]:
             file.attrs["format"] = FORMAT
             file.attrs["environment"] = metadata.environment
             file.attrs["parameters"] = json.dumps(dict(metadata.parameters), sort_keys=True)
-            file.attrs["seed"] = metadata.seed
+            if metadata.seed is not None:
+                file.attrs["seed"] = metadata.seed
             file.attrs["steps"] = metadata.steps
             file.attrs["episodes"] = metadata.episodes
             file.attrs["versions"] = json.dumps(dict(metadata.versions), sort_keys=True)
             file.attrs["diverged"] = metadata.diverged
+            for name in ("cameras", "action_names", "action_low", "action_high"):
+                file.attrs[name] = json.dumps(getattr(metadata, name))
             yield file
     except RuntimeError as error:  # what h5py makes of a full disk when it closes the file
-        raise OSError(errno.EIO, str(error)) from error
+        raise OSError(errno.EIO, str(error), str(path)) from error
 
 
 def _dataset(file: Any, name: str, shape: tuple[int, ...], dtype: Any) -> Any:
@@ -245,5 +375,20 @@ def _dataset(file: Any, name: str, shape: tuple[int, ...], dtype: Any) -> Any:
         dtype,
         chunks=(1, *shape[1:]),
         track_times=False,
-        **(compression if name == "frames" else {}),
+        **(compression if name.startswith("frames") else {}),
     )
+
+
+def _seen_by(camera: str) -> str:
+    """Name of the dataset of a further camera's frames."""
+    return f"frames of {camera}"
+
+
+def _ended(array: NDArray[Any], ends: NDArray[np.int64]) -> NDArray[Any]:
+    """``array`` with zeros from entry ``ends[i]`` of each ``array[i]`` on."""
+    over = np.arange(array.shape[1]) >= ends[:, None]
+    if not over.any():
+        return array
+    ended: NDArray[Any] = array.copy()
+    ended[over] = 0
+    return ended

@@ -3,6 +3,9 @@
 Frames are ``image_size`` pixels wide; actions are float32 ``[T, 3]``; states are what
 :func:`hvf.envs.desk.simulator.observables` gives, 17 lengths in metres. ``N`` episodes of ``T``
 steps.
+
+The paper draws a new random action every step. Here each is held for ``action_repeat`` steps: 1 is
+the paper's, 3 moves door and drawer in more episodes, and is what the shipped models learned from.
 """
 
 from __future__ import annotations
@@ -31,6 +34,10 @@ from hvf.envs.desk.simulator import (
 )
 from hvf.interrupts import Interrupts
 
+# Ends the key of a random stream. Tasks end theirs with their number or, as NumPy sees it, zeros;
+# so no collected episode starts where one of a task does, at whatever seed.
+_COLLECTION = 0xC0113C7
+
 _TRIES = 10
 # Seconds between two looks whether somebody wants the work to stop.
 _PATIENCE = 0.2
@@ -39,13 +46,15 @@ _SIDE_BY_SIDE = 25
 
 
 @dataclasses.dataclass(frozen=True)
-class DeskCollectConfig(CollectConfig):
+class DeskCollection(CollectConfig):
     """How much to collect at the desk, and where to put it.
+
+    Door, drawer, cubes and arm start anywhere.
 
     Attributes:
         part: episodes written at a time; a stop loses no more than these.
-        action_repeat: steps for which each random action is held; 3 moves door and drawer in
-            more episodes than 1.
+        action_repeat: steps for which each random action is held. The paper draws a new one every
+            step; 3 moves door and drawer in more episodes than 1.
         workers: processes; 0 for as many as there are cores. The result does not depend on it.
     """
 
@@ -60,54 +69,76 @@ class DeskCollectConfig(CollectConfig):
         if self.workers < 0:
             raise ValueError(f"workers must not be negative, got {self.workers}")
 
+    def run(self, console: Console | None = None) -> Path:
+        """Collect, on all cores.
 
-def collect_desk(config: DeskCollectConfig, console: Console | None = None) -> Path:
-    """Collect episodes of the desk under uniformly random actions, on all cores.
+        An episode whose simulation diverges is said so, counted in the file, and drawn anew.
 
-    Episode ``i`` is a function of (seed, i). Door, drawer, cubes and arm start anywhere. An
-    episode whose simulation diverges is said so, counted in the file, and drawn anew.
-
-    Raises:
-        FileExistsError, ValueError, OSError, KeyboardInterrupt: as
-            :func:`hvf.data.collect.collect_maze`.
-        RuntimeError: no OpenGL (names the Debian package), or an episode that diverged ten times.
-    """
-    console = console or Console()
-    with DeskPool(config.workers, config.image_size) as pool, Interrupts() as interrupts:
-
-        def rollouts(seed: int, first: int, count: int, steps: int) -> Episodes:
-            size = max(1, min(_SIDE_BY_SIDE, -(-count // pool.workers)))
-            parts = [
-                pool.submit(
-                    random_episodes,
-                    seed,
-                    range(begin, min(begin + size, first + count)),
-                    steps,
-                    config.action_repeat,
-                )
-                for begin in range(first, first + count, size)
-            ]
-            while wait(parts, timeout=_PATIENCE).not_done:
-                interrupts.check()
-            interrupts.check()
-            made = [part.result() for part in parts]
-            for _, diverged in made:
-                for line in diverged:
-                    console.print(line)
-            frames, actions, states = (
-                np.concatenate([getattr(episodes, name) for episodes, _ in made])
-                for name in ("frames", "actions", "states")
+        Raises:
+            FileExistsError, ValueError, OSError, KeyboardInterrupt: as
+                :func:`hvf.data.collect.collect`.
+            RuntimeError: no OpenGL (names the Debian package), or an episode that diverged ten
+                times.
+        """
+        console = console or Console()
+        with DeskPool(self.workers, self.image_size) as pool, Interrupts() as interrupts:
+            return collect(
+                self,
+                "desk",
+                {
+                    "image_size": self.image_size,
+                    "policy": "uniform",
+                    "action_repeat": self.action_repeat,
+                    "states": list(OBSERVABLES),
+                    "stream": "collection",
+                },
+                lambda *which: self._rollouts(pool, interrupts, console, *which),
+                console,
+                {"mujoco": version("mujoco")},
+                cameras=("front",),
+                action_names=("dx", "dy", "dz"),
+                action_low=(-1.0,) * ACTION_SIZE,
+                action_high=(1.0,) * ACTION_SIZE,
             )
-            return Episodes(frames, actions, states, sum(len(diverged) for _, diverged in made))
 
-        parameters = {
-            "image_size": config.image_size,
-            "policy": "uniform",
-            "action_repeat": config.action_repeat,
-            "states": list(OBSERVABLES),
-        }
-        versions = {"mujoco": version("mujoco")}
-        return collect(config, "desk", parameters, rollouts, console, versions)
+    def _rollouts(
+        self,
+        pool: DeskPool,
+        interrupts: Interrupts,
+        console: Console,
+        seed: int,
+        first: int,
+        count: int,
+        steps: int,
+    ) -> Episodes:
+        size = max(1, min(_SIDE_BY_SIDE, -(-count // pool.workers)))
+        parts = [
+            pool.submit(
+                random_episodes,
+                seed,
+                range(begin, min(begin + size, first + count)),
+                steps,
+                self.action_repeat,
+            )
+            for begin in range(first, first + count, size)
+        ]
+        while wait(parts, timeout=_PATIENCE).not_done:
+            interrupts.check()
+        interrupts.check()
+        made = [part.result() for part in parts]
+        for _, diverged in made:
+            for line in diverged:
+                console.print(line)
+        frames, actions, states = (
+            np.concatenate([getattr(episodes, name) for episodes, _ in made])
+            for name in ("frames", "actions", "states")
+        )
+        return Episodes(frames, actions, states, sum(len(diverged) for _, diverged in made))
+
+
+def stream(seed: int, number: int, attempt: int = 0) -> np.random.Generator:
+    """What draws the start and the actions of a collected episode, in its n-th attempt."""
+    return np.random.default_rng((seed, number, attempt, _COLLECTION))
 
 
 def random_episodes(
@@ -160,7 +191,7 @@ def _try(
     steps = actions.shape[1]
     starts = []
     for place, key in zip(places, seeds, strict=True):
-        rng = np.random.default_rng(key)
+        rng = stream(*key)
         starts.append(random_arrangement(rng, None))
         drawn = rng.uniform(-1.0, 1.0, (-(-steps // action_repeat), ACTION_SIZE))
         actions[place] = np.repeat(drawn, action_repeat, axis=0)[:steps]
