@@ -167,8 +167,16 @@ SOME: dict[str, Any] = {
     "split": st.sampled_from(list(EPISODE_SEEDS)),
     "seed": st.none() | st.integers(0, 3),
     "dynamics": st.sampled_from(
-        ["default", "keypoint", "simulator", "a/model.safetensors", "b/a/model.safetensors"]
-        + ["a.safetensors", "A.safetensors", "keypoint/model.safetensors"]
+        [
+            "default",
+            "keypoint",
+            "simulator",
+            "a/model.safetensors",
+            "b/a/model.safetensors",
+            "a.safetensors",
+            "A.safetensors",
+            "keypoint/model.safetensors",
+        ]
     ),
     "generator": st.sampled_from(["default", "cvae", "keypoint-generator", "runs/cvae.safetensors"])
     | st.text("ab-./", min_size=1, max_size=4),

@@ -175,9 +175,9 @@ def _word(value: Any, names: Collection[str]) -> str:
     """A value in a file's name, with a checksum where the word does not tell it exactly."""
     word = _short(str(value))
     number = isinstance(value, int | float) and value >= 0
-    if number or value is None or value in names or re.fullmatch(r"[a-z0-9.]+", word):
-        if word == str(value):
-            return word
+    plain = number or value is None or value in names or re.fullmatch(r"[a-z0-9.]+", word)
+    if plain and word == str(value):
+        return word
     return f"{word}-{hashlib.sha256(repr(value).encode()).hexdigest()[:6]}"
 
 
