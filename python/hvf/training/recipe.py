@@ -148,7 +148,7 @@ class TrainingData:
 
     def pool(self, memory_gb: float = 2.0) -> EpisodePool:
         """A pool of the episodes to learn from, closed when the run ends."""
-        return self._open("train", memory_gb=memory_gb)
+        return self._open("train", memory_gb)
 
     @contextlib.contextmanager
     def phase(self, about: str) -> Iterator[None]:
@@ -163,8 +163,10 @@ class TrainingData:
             spinner.add_task("", total=None)
             yield
 
-    def _open(self, split: Split, **settings: float) -> EpisodePool:
-        pool = EpisodePool(self.path, split, seed=self._seed, camera=self.camera, **settings)
+    def _open(self, split: Split, memory_gb: float = 2.0) -> EpisodePool:
+        pool = EpisodePool(
+            self.path, split, memory_gb=memory_gb, seed=self._seed, camera=self.camera
+        )
         self._pools.append(pool)
         return pool
 
