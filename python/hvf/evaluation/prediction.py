@@ -308,9 +308,10 @@ def check_disjoint(data: EpisodeReader, test: EpisodeReader) -> None:
 
 def _keys(file: EpisodeReader, number: int) -> list[tuple[str, bytes]]:
     """What two recordings of one episode have in common: its actions, or how it starts."""
-    keys = [("actions", np.asarray(file.dataset("actions")[number]).tobytes())]
-    with contextlib.suppress(KeyError):
-        keys.append(("states", np.asarray(file.dataset("states")[number, 0]).tobytes()))
+    episode = file.read(number, 1)
+    keys = [("actions", episode.actions.tobytes())]
+    if episode.states is not None:
+        keys.append(("states", episode.states[0, 0].tobytes()))
     return keys
 
 
