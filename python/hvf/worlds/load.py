@@ -49,7 +49,7 @@ class Loaded:
         world: predicts and scores.
         generator: draws subgoals; None where none is asked for.
         weights: the checkpoints in it, by their part: "dynamics", "generator", "cost".
-        kind: "video" if all models in it are, "object" if one is, "simulator" without any.
+        kind: "simulator" for true dynamics; else "object" if one of the models is, or "video".
     """
 
     world: WorldModel[Any]
@@ -59,8 +59,10 @@ class Loaded:
     @property
     def kind(self) -> str:
         """What results may be compared with."""
+        if "dynamics" not in self.weights:
+            return "simulator"
         kinds = {weights.kind for weights in self.weights.values()}
-        return "object" if "object" in kinds else "video" if kinds else "simulator"
+        return "object" if "object" in kinds else "video"
 
 
 def load(

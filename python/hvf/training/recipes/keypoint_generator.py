@@ -66,7 +66,7 @@ class KeypointGeneratorRecipe(Recipe):
         config = dataclasses.replace(self.model, image_size=size)
         model = seeded(seed, lambda: KeypointGenerator(config))
         episodes = min(self.episodes, data.training)
-        found = Transitions(data.path, dynamics, episodes, console=data.console)
+        found = Transitions(data.path, dynamics, episodes, console=data.console, camera=data.camera)
         codes = found.codes(dynamics, model.code)
         yield Stage(
             model,
