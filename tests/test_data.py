@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from pathlib import Path
@@ -15,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 
 import hvf_core
 import processes
-from hvf.data.collect import CollectConfig, collect
+from hvf.data.collect import CollectConfig, collect, program_versions
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import EpisodeFile, write_episodes
 from hvf.data.loader import EpisodePool, PairSampler, WindowSampler
@@ -58,6 +59,14 @@ def test_a_collected_file_holds_what_the_maze_gives(tmp_path: Path) -> None:
     with EpisodeFile(path, "maze") as episodes:
         assert (episodes.metadata.seed, episodes.metadata.steps, len(episodes)) == (3, 5, 7)
         assert "hvf_core" in episodes.metadata.versions
+        assert (episodes.metadata.cameras, episodes.metadata.action_names) == (
+            ("above",),
+            ("x", "y"),
+        )
+        assert (episodes.metadata.action_low, episodes.metadata.action_high) == (
+            (-3.0, -3.0),
+            (3.0, 3.0),
+        )
 
 
 def test_the_parts_it_was_collected_in_do_not_show(tmp_path: Path) -> None:
@@ -148,6 +157,75 @@ def test_parts_of_another_collection_are_refused(tmp_path: Path) -> None:
         collect(config, "numbers", {}, fail_late)
     with pytest.raises(ValueError, match="another collection"):
         collected(tmp_path / "numbers.h5", seed=5, part=10)
+
+
+def stopped(config: CollectConfig, parts: int) -> list[Path]:
+    """The parts of a collection that ended after some of them."""
+
+    def rollouts(seed: int, first: int, count: int, steps: int) -> Episodes:
+        if first >= parts * config.part:
+            raise RuntimeError("stopped")
+        return numbered(seed, first, count, steps)
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        collect(config, "numbers", {}, rollouts)
+    return sorted(config.out.with_name(f"{config.out.name}.parts").glob("0*.h5"))
+
+
+def test_parts_of_another_version_of_the_program_are_refused(tmp_path: Path) -> None:
+    config = CollectConfig(tmp_path / "numbers.h5", 40, STEPS, image_size=8, part=10)
+    part = stopped(config, 2)[1]
+    with h5py.File(part, "r+") as file:
+        file.attrs["versions"] = json.dumps({**program_versions(), "numpy": "1.0", "extra": "3"})
+    with pytest.raises(ValueError) as caught:
+        collect(config, "numbers", {}, numbered)
+    message = str(caught.value)
+    assert str(part) in message
+    assert f"extra 3, now not there; numpy 1.0, now {np.__version__}" in message
+    assert f"remove {part.parent}" in message
+    part.unlink()
+    collect(config, "numbers", {}, numbered)
+    assert config.out.read_bytes() == collected(tmp_path / "other.h5", part=10).read_bytes()
+
+
+def test_a_part_of_an_older_format_is_refused(tmp_path: Path) -> None:
+    config = CollectConfig(tmp_path / "numbers.h5", 40, STEPS, image_size=8, part=10)
+    part = stopped(config, 1)[0]
+    with h5py.File(part, "r+") as file:
+        file.attrs["format"] = "hvf-episodes-1"
+    with pytest.raises(ValueError, match="format hvf-episodes-1, now hvf-episodes-2"):
+        collect(config, "numbers", {}, numbered)
+
+
+def test_a_part_that_went_away_is_missing_and_not_a_failed_write(tmp_path: Path) -> None:
+    config = CollectConfig(tmp_path / "numbers.h5", 40, STEPS, image_size=8, part=10)
+    first = stopped(config, 1)[0]
+
+    def rollouts(seed: int, number: int, count: int, steps: int) -> Episodes:
+        first.unlink(missing_ok=True)
+        return numbered(seed, number, count, steps)
+
+    with pytest.raises(FileNotFoundError) as caught:
+        collect(config, "numbers", {}, rollouts)
+    assert str(caught.value) == f"{first}: no such data file"
+    assert not config.out.exists()
+    assert collect(config, "numbers", {}, numbered) == config.out
+
+
+def test_a_directory_is_no_place_for_a_file(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    with pytest.raises(ValueError, match=r"out: .*data is a directory; name a file in it"):
+        collected(tmp_path / "data")
+    with pytest.raises(ValueError, match=r"out: .*data is a directory"):
+        collected(tmp_path / "data", overwrite=True)
+    (tmp_path / "x.h5.parts").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"out: .*x\.h5\.parts, where parts go"):
+        collected(tmp_path / "x.h5")
+
+
+def test_a_domain_that_does_not_say_how_collects_nothing(tmp_path: Path) -> None:
+    with pytest.raises(NotImplementedError, match="CollectConfig does not say"):
+        CollectConfig(tmp_path / "x.h5").run()
 
 
 @given(
@@ -344,7 +422,9 @@ def test_bad_arguments_of_the_loader_are_named(numbers: Path, tmp_path: Path) ->
         (lambda: PairSampler(pool, 0), "batch_size"),
         (lambda: WindowSampler(pool, 0, 1), "batch_size"),
         (lambda: WindowSampler(pool, 1, STEPS + 1), "length"),
-        (lambda: EpisodePool(collected(tmp_path / "one.h5", 1)), "2 episodes"),
+        (lambda: EpisodePool(collected(tmp_path / "one.h5", 1)), r"one\.h5.*2 episodes"),
+        (lambda: EpisodePool(numbers, "test"), r"numbers\.h5: split: 'test'"),
+        (lambda: EpisodePool(numbers, camera="top"), "no camera 'top'"),
     ):
         with pytest.raises(ValueError, match=name):
             call()

@@ -16,11 +16,12 @@ pytest.importorskip("mujoco", reason="MuJoCo 4 needs Python 3.11")
 from rich.console import Console
 
 from hvf.data.formats.hdf5 import EpisodeFile
-from hvf.domains.desk.collection import DeskCollection, random_episodes
-from hvf.envs.desk.arrangement import random_arrangement, settled
+from hvf.domains.desk.collection import DeskCollection, random_episodes, stream
+from hvf.envs.desk.arrangement import START, random_arrangement, settled
 from hvf.envs.desk.pool import Worker
 from hvf.envs.desk.rendering import DeskRenderer
 from hvf.envs.desk.simulator import OBSERVABLES, DeskSimulator, Floats, observables
+from hvf.envs.desk.tasks import TASKS, make_episodes
 
 STEPS = 7
 COLLECTION = 0xC0113C7
@@ -55,6 +56,14 @@ def test_processes_and_parts_do_not_show(tmp_path: Path, worker: Worker) -> None
         assert file.metadata.parameters["states"] == list(OBSERVABLES)
         assert "mujoco" in file.metadata.versions
         assert file.metadata.diverged == 0
+        assert (file.metadata.cameras, file.metadata.action_names) == (
+            ("front",),
+            ("dx", "dy", "dz"),
+        )
+        assert (file.metadata.action_low, file.metadata.action_high) == (
+            (-1.0, -1.0, -1.0),
+            (1.0, 1.0, 1.0),
+        )
     for name in ("frames", "actions", "states"):
         np.testing.assert_array_equal(getattr(found, name), getattr(episodes, name))
     assert diverged == []
@@ -78,6 +87,29 @@ def test_episodes_are_what_the_simulator_and_the_camera_give(worker: Worker) -> 
     assert (held[:, 2] != held[:, 3]).all()
     assert (np.abs(held) <= 1).all()
     renderer.close()
+
+
+def test_no_collected_scene_is_that_of_a_task_at_whatever_seed(worker: Worker) -> None:
+    """Cubes' angles are drawn alike in both, so that one stream would give both the same."""
+
+    def drawn(rng: np.random.Generator, finger: Any = None) -> tuple[float, ...]:
+        arrangement = random_arrangement(rng, finger)
+        return (arrangement.drawer, *arrangement.yaws.tolist())
+
+    collected, of_tasks = set(), set()
+    for seed in (*range(12), 1_000_000_007, 2**32, 2**32 + COLLECTION, COLLECTION):
+        for number in range(5):
+            for key in range(len(TASKS)):
+                collected.add(drawn(stream(seed, number, key)))
+                of_tasks.add(drawn(np.random.default_rng([seed, number, key]), START))
+    assert len(collected) == 16 * 5 * len(TASKS)
+    assert not collected & of_tasks
+    # The same of the two as they are used, in the position of the drawer after settling.
+    episodes, _ = random_episodes(worker, 0, range(3), 1, 1)
+    drawers = episodes.true_states[:, 0, OBSERVABLES.index("drawer")]
+    for task in TASKS:
+        starts = observables(make_episodes(worker.simulator, task, 0, 0, 3).starts)
+        assert (np.abs(drawers - starts[:, OBSERVABLES.index("drawer")]) > 1e-4).all()
 
 
 def test_actions_are_uniform_and_things_move() -> None:
@@ -134,7 +166,7 @@ def test_ctrl_c_stops_all_processes_and_the_same_command_goes_on(
         child.wait_until(lambda: len(list(parts.glob("0*.h5"))) >= 2)
         child.tell(number)
         assert child.wait() in (130, 0)
-        assert child.gone()
+        child.wait_until_gone()
     assert "Traceback" not in child.errors
     collected(out, 12, workers=2, part=1)
     assert out.read_bytes() == collected(tmp_path / "other.h5", 12, workers=1).read_bytes()

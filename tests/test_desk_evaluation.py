@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
@@ -14,7 +15,8 @@ pytest.importorskip("mujoco", reason="MuJoCo 4 needs Python 3.11")
 
 import hvf_core
 from hvf.cli import main
-from hvf.domains.desk.trials import DeskEvaluation, DeskPlanning, DeskTask, DeskTrials
+from hvf.domains.desk.place import Desk
+from hvf.domains.desk.trials import DeskTrials
 from hvf.envs.desk.env import DeskEnv
 from hvf.envs.desk.pool import DeskPool
 from hvf.envs.desk.rendering import project
@@ -29,9 +31,12 @@ from hvf.envs.desk.simulator import (
     block_positions,
     end_effectors,
 )
-from hvf.envs.desk.tasks import TASKS, TaskName, make_episodes, object_success
-from hvf.evaluation.run import evaluate, load
-from hvf.worlds.desk import DeskWorldConfig, load_desk
+from hvf.envs.desk.tasks import MAX_STEPS, TASKS, TaskName, make_episodes, object_success
+from hvf.evaluation import Evaluation, Task
+from hvf.evaluation.report import load
+from hvf.evaluation.run import evaluate_task
+from hvf.registry import DOMAINS
+from hvf.settings import Planning
 from hvf.worlds.mujoco import DeskFrames, MujocoWorld
 
 SIZE = 32
@@ -57,6 +62,13 @@ def pool() -> Iterator[DeskPool]:
 def single() -> Iterator[DeskPool]:
     with DeskPool(1, SIZE) as pool:
         yield pool
+
+
+def place_of(pool: DeskPool) -> Desk:
+    """The desk with a pool that stays open after it."""
+    place = Desk.__new__(Desk)
+    place.pool = pool
+    return place
 
 
 @pytest.fixture(scope="module")
@@ -291,12 +303,29 @@ def test_a_bad_blur_is_refused(pool: DeskPool, blur: float) -> None:
     with pytest.raises(ValueError, match=r"^blur: "):
         MujocoWorld(pool, blur)
     with pytest.raises(ValueError, match=r"^blur: "):
-        DeskWorldConfig(blur=blur)
+        Planning(blur=blur)
 
 
-def test_learned_models_that_are_not_there_are_one_clear_error(pool: DeskPool) -> None:
-    with pytest.raises(FileNotFoundError, match=r"no/such|no weights"):
-        load_desk(DeskWorldConfig(dynamics=Path("no/such.safetensors")), pool)
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            {"dynamics": "no/such.safetensors"},
+            r"^dynamics: 'no/such.safetensors' is neither a file",
+        ),
+        (
+            {"generator": "vae"},
+            r"^generator: 'vae' is neither .* `hvf train vae --data FILE` makes",
+        ),
+        ({"generator": "oracle"}, r"^generator: 'oracle' is not available here"),
+    ],
+)
+def test_models_that_are_not_there_are_one_clear_error(
+    pool: DeskPool, settings: dict[str, str], message: str
+) -> None:
+    pytest.importorskip("torch")
+    with pytest.raises((FileNotFoundError, ValueError), match=message):
+        Task(Evaluation.of("desk", subgoals=1, **settings), place_of(pool))
 
 
 # ---- evaluations -------------------------------------------------------------------------------
@@ -306,9 +335,8 @@ def test_learned_models_that_are_not_there_are_one_clear_error(pool: DeskPool) -
     ("settings", "message"),
     [
         ({"task": "window"}, "^task: "),
-        ({"agent": "clever"}, "^agent: "),
-        ({"agent": "hvf", "model": "simulator"}, "^agent: 'hvf' needs model='learned'"),
-        ({"model": "dream"}, "^model: "),
+        ({"method": "clever"}, "^method: "),
+        ({"method": "hvf", "dynamics": "simulator"}, "^method: 'hvf' needs learned dynamics"),
         ({"blur": -1.0}, "^blur: "),
         ({"over_horizon": "first"}, "^over_horizon: "),
         ({"action_repeat": 4}, "^action_repeat: "),
@@ -320,46 +348,44 @@ def test_learned_models_that_are_not_there_are_one_clear_error(pool: DeskPool) -
         ({"initial": "rightward"}, "^initial: "),
     ],
 )
-def test_settings_out_of_range_are_named(settings: dict[str, object], message: str) -> None:
+def test_settings_out_of_range_are_named(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        DeskEvaluation.of(**settings)
+        Evaluation.of("desk", **settings)
 
 
 def test_settings_are_the_papers_unless_said_otherwise() -> None:
-    paper = DeskEvaluation.of("paper")
+    paper = Evaluation.of("desk", "paper")
     mpc = paper.planning.mpc
     assert (mpc.samples, mpc.elites, mpc.iterations, mpc.keep_elites) == (200, 40, 5, 0)
     assert not paper.planning.warm_start
     assert (mpc.horizon, mpc.action_repeat, mpc.initial) == (15, 3, "normal")
     assert (paper.planning.blur, paper.planning.over_horizon) == (0.0, "last")
     assert paper.acting.steps_per_subgoal == 20
-    limits = [DeskEvaluation.of(task=task).acting.steps for task in TASKS]
-    assert limits == [50, 50, 100, 100]
-    assert DeskEvaluation.of(planning=DeskPlanning(steps=7)).acting.steps == 7
+    assert list(DOMAINS["desk"].tasks) == list(TASKS)
+    limits = [Evaluation.of("desk", task=task).acting.steps for task in TASKS]
+    assert limits == [MAX_STEPS[task] for task in TASKS] == [50, 50, 100, 100]
+    assert Evaluation.of("desk", planning=Planning(steps=7)).acting.steps == 7
 
 
-@pytest.mark.parametrize("agent", ["none", "ground-truth", "random"])
+@pytest.mark.parametrize("method", ["none", "ground-truth", "random"])
 def test_processes_and_neighbours_do_not_change_a_trial(
-    pool: DeskPool, single: DeskPool, agent: str
+    pool: DeskPool, single: DeskPool, method: str
 ) -> None:
-    settings = {"agent": agent, "task": "door", "subgoals": 1, "model": "simulator", **CHEAP}
-    evaluation = DeskEvaluation.of(steps_per_subgoal=1, threshold=0.0, **settings)
-    with DeskTask(evaluation, pool=pool) as task:
-        together = task.run(0, 2)
-    with DeskTask(evaluation, pool=single) as task:
-        alone = [task.run(index, 1).trials[0] for index in range(2)]
+    settings = {"method": method, "task": "door", "subgoals": 1, "dynamics": "simulator", **CHEAP}
+    evaluation = Evaluation.of("desk", steps_per_subgoal=1, threshold=0.0, **settings)
+    together = Task(evaluation, place_of(pool)).run(0, 2)
+    task = Task(evaluation, place_of(single))
+    alone = [task.run(index, 1).trials[0] for index in range(2)]
     assert together.trials == alone
     assert together.decisions == 6
-    if agent == "ground-truth":
+    if method == "ground-truth":
         assert alone[0].switches == (1,)
 
 
 def test_a_trial_that_diverges_fails_and_says_where_and_the_others_go_on(
     pool: DeskPool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    evaluation = DeskEvaluation.of(
-        agent="random", task="door", model="simulator", seed=SEED, steps=4
-    )
+    evaluation = Evaluation.of("desk", method="random", task="door", seed=SEED, steps=4)
     step = DeskTrials.step
 
     def disturbed(self: DeskTrials, which: np.ndarray, actions: np.ndarray) -> dict[int, str]:
@@ -367,11 +393,11 @@ def test_a_trial_that_diverges_fails_and_says_where_and_the_others_go_on(
             self.states[1, 40:] = 1e12
         return step(self, which, actions)
 
-    with DeskTask(evaluation, pool=pool) as task:
-        undisturbed = evaluate(task, 3, chunk=3)
-        monkeypatch.setattr(DeskTrials, "step", disturbed)
-        out = tmp_path / "report.json"
-        evaluate(task, 3, out, chunk=3)
+    task = Task(evaluation, place_of(pool))
+    undisturbed = evaluate_task(task, 3, chunk=3)
+    monkeypatch.setattr(DeskTrials, "step", disturbed)
+    out = tmp_path / "report.json"
+    evaluate_task(task, 3, out, chunk=3)
     trials = load(out).trials
     words = f"the simulation diverged: seed {SEED}, episode 1, step 2"
     assert [(trial.success, trial.steps, trial.error) for trial in trials] == [
@@ -382,32 +408,55 @@ def test_a_trial_that_diverges_fails_and_says_where_and_the_others_go_on(
     assert [trial.error for trial in undisturbed.trials] == [None] * 3
 
 
+def test_slow_trials_are_saved_a_few_at_a_time(pool: DeskPool) -> None:
+    def chunk(**settings: Any) -> int:
+        return Task(Evaluation.of("desk", **settings), place_of(pool)).chunk
+
+    assert chunk(method="random") == 5
+    assert chunk(preset="simulator") == 2
+
+
+def test_a_desk_of_ones_own_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed: list[Any] = []
+    monkeypatch.setattr(DeskPool, "__init__", lambda self, workers: None)
+    monkeypatch.setattr(DeskPool, "close", lambda self: closed.append(self))
+    with Task.open(Evaluation.of("desk", method="random"), workers=1):
+        assert closed == []
+    assert len(closed) == 1
+    # Also where what it plans with is not there.
+    with pytest.raises(FileNotFoundError):
+        Task.open(Evaluation.of("desk", dynamics="no/such"), workers=1)
+    assert len(closed) == 2
+    with pytest.raises(ValueError, match=r"^workers: "):
+        Task.open(Evaluation.of("desk", method="random"), workers=-1)
+
+
 def test_the_simulators_preset_is_a_whole_command(tmp_path: Path) -> None:
     out = tmp_path / "report.json"
     words = ["--preset=simulator", "--task=door", "--trials=1", f"--out={out}", "--workers=1"]
     cheap = ["--samples=2", "--elites=1", "--keep-elites=1", "--iterations=1", "--steps=1"]
     assert main(["eval", "desk", *words, *cheap]) == 0
-    config = load(out).config
-    assert (config["agent"], config["model"]) == ("none", "simulator")
-    assert config["planning"]["horizon"] == DeskEvaluation.of("simulator").planning.horizon
+    report = load(out)
+    assert (report.method, report.preset, report.kind) == ("none", "simulator", "simulator")
+    assert report.world == {"dynamics": "simulator", "cost": "pixel"}
+    assert report.planning["horizon"] == Evaluation.of("desk", "simulator").planning.horizon
 
 
 WORDS = [f"--{name.replace('_', '-')}={value}" for name, value in CHEAP.items()]
-WORDS += ["--task", "door", "--model", "simulator", "--workers", "1"]
+WORDS += ["--task", "door", "--dynamics", "simulator", "--workers", "1"]
 
 
 def test_commands_measure_tell_and_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "report.json"
-    assert main(["eval", "desk", "--agent=none", "--trials=1", f"--out={out}", *WORDS]) == 0
+    assert main(["eval", "desk", "--method=none", "--trials=1", f"--out={out}", *WORDS]) == 0
     report = load(out)
-    assert report.config["task"] == "door"
-    assert report.config["planning"]["samples"] == 4
-    assert "workers" not in json.dumps(report.config)
+    assert report.task == "door"
+    assert report.planning["samples"] == 4
+    assert "workers" not in json.dumps(report.head)
     assert main(["results", "desk", str(tmp_path)]) == 0
-    header = capsys.readouterr().out.split("| settings")[1].splitlines()[0]
-    assert header.count("door") == 3
+    assert "door" in capsys.readouterr().out
     assert main(["results", "maze", str(tmp_path)]) == 2
-    plan = ["plan", "desk", "--agent=ground-truth", "--subgoals=1", f"--out={tmp_path}", *WORDS]
+    plan = ["plan", "desk", "--method=ground-truth", "--subgoals=1", f"--out={tmp_path}", *WORDS]
     assert main([*plan, "--episode=1"]) == 0
     assert iio.imread(tmp_path / "episode-1.png").shape[1] > 4 * 64
     assert len(iio.imread(tmp_path / "episode-1.gif", index=None)) >= 4
@@ -417,16 +466,16 @@ def test_the_demo_tells_of_every_episode_and_draws_some(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     demo = ["demo", "desk", "--episodes=2", "--pictures=1", f"--out={tmp_path}", *WORDS]
-    assert main([*demo, "--agent=ground-truth"]) == 0
+    assert main([*demo, "--method=ground-truth"]) == 0
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"episode-0.png", "episode-0.gif", "ground-truth.json", "none.json"}
     said = " ".join(capsys.readouterr().out.split())
-    for agent in ("ground truth-1", "no subgoals"):
+    for method in ("ground truth-1", "no subgoals"):
         for episode in range(2):
-            assert f"desk door: {agent}, simulator, episode {episode}: goal " in said
+            assert f"desk door: {method}, simulator, episode {episode}: goal " in said
     for name in ("ground-truth", "none"):
         assert [trial.index for trial in load(tmp_path / f"{name}.json").trials] == [0, 1]
-    assert main([*demo, "--agent=none"]) == 0
+    assert main([*demo, "--method=none"]) == 0
     assert capsys.readouterr().out.count("episode 0: goal") == 1
 
 
@@ -442,16 +491,17 @@ def test_the_demo_searches_and_acts_with_the_shipped_models(
     assert names == {"episode-0.png", "episode-0.gif", "hvf.json", "none.json"}
     assert "HVF-1" in capsys.readouterr().out
     searched, straight = (load(tmp_path / f"{name}.json") for name in ("hvf", "none"))
-    assert searched.config["task"] == straight.config["task"] == "door"
-    assert searched.config["sha256"].keys() == {"dynamics", "desk_generator"}
+    assert searched.task == straight.task == "door"
+    assert searched.weights.keys() == {"dynamics", "generator"}
+    assert straight.weights.keys() == {"dynamics"}
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["eval", "desk", "--agent", "none", "--dynamics", "no/such.safetensors"], "hvf eval desk"),
-        (["demo", "desk", "--dynamics", "no/such.safetensors"], "`hvf train desk-dynamics`"),
-        (["demo", "desk", "--desk-generator", "no/such"], "`hvf train desk-generator`"),
+        (["eval", "desk", "--method", "none", "--dynamics", "no/such.safetensors"], "hvf eval:"),
+        (["demo", "desk", "--dynamics", "no/such.safetensors"], "no/such.safetensors"),
+        (["demo", "desk", "--generator", "vae"], "`hvf train vae --data FILE`"),
         (["demo", "desk", "--episodes", "0"], "episodes: must be at least 1"),
         (["results", "desk", "no/such"], "folder: "),
     ],

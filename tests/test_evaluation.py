@@ -12,7 +12,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 import hvf
+import hvf_core
+import processes
 from hvf.cli.watching import how_it_went, watch
 from hvf.data.splits import EPISODE_SEEDS
 from hvf.evaluation import Evaluation, Outcome, Task, Trial
@@ -37,7 +38,6 @@ from hvf.evaluation.recording import record
 from hvf.evaluation.report import HEAD, Report, load, save
 from hvf.evaluation.run import evaluate, evaluate_task
 from hvf.evaluation.statistics import wilson_interval
-from hvf.evaluation.task import world_of
 from hvf.registry import DOMAINS, METHODS
 from hvf.settings import World
 
@@ -117,6 +117,11 @@ def test_presets_are_where_settings_begin() -> None:
         Evaluation.of("maze", horizont=3)
     with pytest.raises(ValueError, match=r"^domain: must be one of maze, desk"):
         Evaluation.of("cellar")
+
+
+def world_of(evaluation: Evaluation) -> World:
+    """The names of what an evaluation plans with, its defaults said."""
+    return evaluation.place.resolved(evaluation.world)
 
 
 @pytest.mark.parametrize(
@@ -527,18 +532,9 @@ def commit(folder: Path) -> str:
 
 def code_in(folder: Path) -> dict[str, Any]:
     """What the copy of the package in a folder says of itself."""
-    import hvf_core
-
     core = Path(hvf_core.__file__).parent.parent
-    done = subprocess.run(
-        [sys.executable, "-c", CODE],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": f"{folder / 'python'}{os.pathsep}{core}"},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-    )
+    path = os.pathsep.join(map(str, (folder / "python", core)))
+    done = processes.run(processes.python(CODE), env={"PYTHONPATH": path}, check=True)
     found: dict[str, Any] = json.loads(done.stdout)
     return found
 
@@ -593,8 +589,7 @@ def test_what_is_not_learned_loads_no_torch(settings: str) -> None:
         "assert len(report.trials) == 2\n"
         "sys.exit('torch' in sys.modules)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=120)
-    assert done.returncode == 0, done.stderr.decode()
+    processes.run(processes.python(program), check=True)
 
 
 # ---- pictures ----------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import io
 import shutil
 from pathlib import Path
@@ -17,12 +16,11 @@ import hvf_core
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
 from hvf.domains.maze_collection import MazeCollection
-from hvf.worlds import MazeWorldConfig, load_maze
+from hvf.settings import Planning
 
 torch = pytest.importorskip("torch")
 
-from hvf.worlds.costs import DistanceWorld, LatentDistance, StepsDistance  # noqa: E402
-
+from hvf.models.checkpoint import load_any  # noqa: E402
 from hvf.models.frames import to_unit  # noqa: E402
 from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
 from hvf.models.keypoint.perception import KeypointPerception  # noqa: E402
@@ -33,6 +31,7 @@ from hvf.training.loop import LoopConfig  # noqa: E402
 from hvf.training.recipe import train  # noqa: E402
 from hvf.training.recipes.temporal_distance import KeypointPairs  # noqa: E402
 from hvf.training.tracks.keypoints import Transitions, TransitionSampler  # noqa: E402
+from hvf.worlds.distances import DistanceWorld, LatentDistance, StepsDistance  # noqa: E402
 from hvf.worlds.keypoint import KeypointWorld  # noqa: E402
 
 QUIET = Console(quiet=True)
@@ -63,20 +62,21 @@ def runs(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_trained_models_plan_with_every_cost(runs: Path) -> None:
-    config = MazeWorldConfig(
-        dynamics=runs / "dynamics" / "model.safetensors",
-        keypoint_generator=runs / "generator" / "model.safetensors",
-        temporal_distance=runs / "steps" / "model.safetensors",
-    )
     images = hvf_core.maze_collect(3, 0, 2, 1)[0][:, 0]
     mpc = hvf_core.VisualMPC(horizon=2, samples=8, elites=2, iterations=2)
     search = hvf_core.HVF(mpc=mpc, subgoals=1, samples=6, elites=2, iterations=2)
-    for cost in ("pixel", "temporal"):
-        for over_horizon in ("last", "min"):
-            world, generator = load_maze(
-                dataclasses.replace(config, cost=cost, over_horizon=over_horizon)
-            )
-            found = search.search(world, generator, images[0], images[1], seed=1)
+    models = {
+        name: load_any(runs / name / "model.safetensors", environment="maze")
+        for name in ("dynamics", "generator", "steps")
+    }
+    made = {name: model.entry.resolved("plannable") for name, model in models.items()}
+    for over_horizon in ("last", "min"):
+        planning = Planning(over_horizon=over_horizon)
+        world = made["dynamics"](models["dynamics"].module, planning)
+        generator = made["generator"](models["generator"].module, world)
+        for cost in ("pixel", "temporal"):
+            costly = world if cost == "pixel" else made["steps"](models["steps"].module, world)
+            found = search.search(costly, generator, images[0], images[1], seed=1)
             assert np.isfinite(found.cost)
 
 
@@ -160,6 +160,18 @@ def test_the_keypoint_model_takes_its_sizes_from_the_data(tmp_path: Path) -> Non
     model = train("keypoint", data, out=tmp_path / "run", console=QUIET, **loops)
     assert model.config.perception.image_size == 32
     assert model.config.action_dim == 2
+
+
+def test_short_episodes_are_enough_or_one_clear_error(tmp_path: Path) -> None:
+    loops = {"perception_loop": SHORT, "loop": SHORT}
+    for steps in (5, 4):
+        data = MazeCollection(tmp_path / f"{steps}.h5", 20, steps).run(QUIET)
+        if steps == 5:
+            with pytest.warns(UserWarning, match="of what changes between frames"):
+                train("keypoint", data, out=tmp_path / "run", console=QUIET, **loops)
+        else:
+            with pytest.raises(ValueError, match=r"4\.h5: episodes have 4 steps, .* needs 5"):
+                train("keypoint", data, out=tmp_path / "none", console=QUIET, **loops)
 
 
 def test_images_that_the_keypoint_model_cannot_take_are_one_clear_error(tmp_path: Path) -> None:
@@ -278,10 +290,3 @@ def test_temporal_distance_is_the_expected_class() -> None:
                 weights = np.exp(logits.numpy()) / np.exp(logits.numpy()).sum()
                 costs.append(float(weights @ np.arange(4)))
             assert found[0, d] == pytest.approx(min(costs), rel=1e-4)
-
-
-def test_other_costs_are_for_learned_models_only() -> None:
-    with pytest.raises(ValueError, match="cost: 'temporal' needs model='learned'"):
-        MazeWorldConfig(model="simulator", cost="temporal")
-    with pytest.raises(ValueError, match="cost: must be one of pixel, latent, temporal"):
-        MazeWorldConfig(cost="l1")  # type: ignore[arg-type]

@@ -25,7 +25,8 @@ GOALS = np.random.default_rng(1).normal(size=(9, 2)).astype(np.float32)
 def distances(starts: Floats, goals: Floats, actions: Floats) -> Floats:
     """Costs [B, D] of a point mass, by broadcasting: actions [B or 1, D, H, A]."""
     ends = starts[:, None] + actions.sum(axis=2)
-    return ((ends - goals[:, None]) ** 2).sum(axis=-1).astype(np.float32)
+    costs: Floats = ((ends - goals[:, None]) ** 2).sum(axis=-1).astype(np.float32)
+    return costs
 
 
 # --- prepare ------------------------------------------------------------------------------
@@ -81,7 +82,7 @@ def test_prepare_is_called_once_per_plan(
 ) -> None:
     mpc = VisualMPC(horizon=2, samples=40, elites=5, iterations=8, min_variance=variance)
     world = (SharingPreparing if shares else Preparing)()
-    world.max_candidates = most  # type: ignore[union-attr]
+    world.max_candidates = most  # type: ignore[attr-defined]
     starts = START if one_start else GOALS[::-1].copy()
     plans = mpc.plan_batch(world, starts, GOALS, seeds=3)
     assert world.prepared == [(len(starts), 9)]
@@ -187,7 +188,9 @@ class Noisy(PointMass):
         super().__init__()
         self.seeds: list[Seeds] = []
 
-    def rollout_costs(self, starts: Floats, goals: Floats, actions: Floats, *, seeds: Seeds) -> Any:
+    def rollout_costs(  # type: ignore[override]
+        self, starts: Floats, goals: Floats, actions: Floats, *, seeds: Seeds
+    ) -> Any:
         assert seeds.shape == actions.shape[:2]
         assert seeds.dtype == np.int64
         assert seeds.flags.c_contiguous
@@ -238,7 +241,7 @@ def test_stochastic_plans_are_the_same_alone_and_in_a_batch(
     if one_seed:
         seeds = [seeds[0]] * len(seeds)
     world = (SharingNoisy if shares else Noisy)()
-    world.max_candidates = most  # type: ignore[union-attr]
+    world.max_candidates = most  # type: ignore[attr-defined]
     plans = mpc.plan_batch(world, START, GOALS[: len(seeds)], seeds)
     for b, plan in enumerate(plans):
         alone = mpc.plan(Noisy(), START, GOALS[b : b + 1], seeds[b])
@@ -415,7 +418,8 @@ class Grey(PointMass):
     def rollout_costs(self, starts: Any, goals: Any, actions: Floats) -> Any:
         assert starts.ndim == goals.ndim == 3
         points = [frames.reshape(len(frames), -1)[:, :2] for frames in (starts, goals)]
-        return super().rollout_costs(*(point.astype(np.float32) for point in points), actions)
+        start, goal = (point.astype(np.float32) for point in points)
+        return super().rollout_costs(start, goal, actions)
 
 
 @pytest.mark.parametrize("shape", [(5, 4, 4), (5, 4, 3), (5, 1, 2)])

@@ -85,7 +85,7 @@ def test_fields_that_fit_only_together_are_set_together() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"bath_size": 3}, "CVAERecipe has no setting 'bath_size'; it has batch_size, data"),
+        ({"bath_size": 3}, "CVAERecipe has no setting 'bath_size'; it has batch_size, camera"),
         ({"loop.stps": 3}, "LoopConfig has no setting 'stps'"),
         ({"batch_size.x": 3}, "CVAERecipe.batch_size has no setting 'x'"),
         ({"batch_size": 0}, "batch_size must be at least 1"),
@@ -241,6 +241,32 @@ def test_the_largest_action_is_that_of_the_box_if_the_data_has_one(
         assert data.largest_action == largest
 
 
+def test_episodes_of_different_lengths_train_what_can_take_them(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    frames = rng.integers(0, 256, (30, 13, 16, 16, 3), np.uint8)
+    lengths = rng.integers(10, 13, 30)
+    lengths[0] = 12
+    for i, length in enumerate(lengths):
+        frames[i, length + 1 :] = 0
+    actions = np.zeros((30, 12, 2), np.float32)
+    path = tmp_path / "video.h5"
+    metadata = Metadata("video", {}, None, 12, 30, {}, cameras=("front",))
+    write_episodes(path, metadata, Episodes(frames, actions, lengths=lengths))
+    small = {"channels": (4, 8), "strides": (2, 2), "pyramid_levels": 2}
+    settings = {"loop": SHORT, "batch_size": 2, "console": QUIET}
+    model = train("cvae", path, out=tmp_path / "cvae", camera="front", model=small, **settings)
+    assert read_header(tmp_path / "cvae/model.safetensors").training["camera"] == "front"
+    # The mean image is of every tenth frame of those that there are.
+    seen = [frames[i, ::10][: (lengths[i] // 10) + 1] for i in range(29)]
+    expected = np.concatenate(seen).mean(axis=0).transpose(2, 0, 1) / 255
+    np.testing.assert_allclose(model.mean_image.numpy(), expected, atol=1e-5)
+    with pytest.raises(ValueError, match="front"):
+        train("cvae", path, out=tmp_path / "side", camera="side", model=small, **settings)
+    with pytest.raises(ValueError, match=r"video\.h5: episodes are 10 to 12 steps long"):
+        train("keypoint", path, out=tmp_path / "keypoint", console=QUIET)
+    assert not (tmp_path / "keypoint").exists()
+
+
 def test_files_are_closed_whatever_happens(
     own_data: Path, counter: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -303,6 +329,8 @@ def test_every_entry_says_what_its_model_assumes_and_leads_to_it() -> None:
         module = entry.resolved("module")
         assert module.__name__ == entry.class_name
         assert dataclasses.is_dataclass(module.config_type)
+        assert callable(entry.resolved("plannable"))
+        assert entry.resolved("recipe") is recipe_class(name)
 
 
 # ---- the command line --------------------------------------------------------------------------
@@ -428,9 +456,7 @@ def test_help_shows_models_options_and_what_holds(
     assert said in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "words", [[], ["sv3p"], ["cvae"], ["cvae", "--data", "x.h5", "--bath-size", "3"]]
-)
+@pytest.mark.parametrize("words", [["cvae"], ["cvae", "--data", "x.h5", "--bath-size", "3"]])
 def test_what_is_not_said_right_is_an_error(words: list[str]) -> None:
     with pytest.raises(SystemExit) as left:
         main(["train", *words])
@@ -441,6 +467,7 @@ def test_what_cannot_be_used_is_one_line(
     maze: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for words, message in (
+        (["sv3p"], "must be one of keypoint"),
         (["cvae", "--data", str(tmp_path / "no.h5")], "no such data file"),
         (["cvae", "--data", str(maze), "--preset", "papr"], "preset: must be one of"),
         (["layers", "--data", str(maze), "--length", "5"], "actions have 2 dimensions"),

@@ -12,10 +12,11 @@ The groups are ``hvf.domains``, ``hvf.models``, ``hvf.methods`` and ``hvf.costs`
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Generic, TypeVar, cast
+
+from hvf.importing import imported
 
 if TYPE_CHECKING:
     from hvf.agents.method import Method
@@ -24,19 +25,6 @@ if TYPE_CHECKING:
     from hvf.worlds.cost import Cost
 
 T = TypeVar("T")
-
-
-def imported(target: str) -> Any:
-    """What ``"module:attribute"`` names.
-
-    Raises:
-        ImportError: no such module, or it has no such attribute.
-    """
-    module, _, attribute = target.partition(":")
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except AttributeError as error:
-        raise ImportError(f"{target}: {module} has no {attribute!r}") from error
 
 
 class Registry(Generic[T]):

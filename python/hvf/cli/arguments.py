@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
+import io
+import itertools
+import re
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -74,17 +79,43 @@ def parsed(
         settings: keywords of :func:`tyro.cli`: ``default``, ``description``.
 
     Raises:
-        SystemExit: help was asked for, or an option is wrong.
+        SystemExit: help was asked for, or there is no such option.
         ValueError: a value that the config refuses.
     """
-    made: ConfigT = tyro.cli(
-        config,
-        prog=f"hvf {verb}",
-        args=list(words),
-        config=() if prefixes else (tyro.conf.OmitArgPrefixes,),
-        **settings,
-    )
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            made: ConfigT = tyro.cli(
+                config,
+                prog=f"hvf {verb}",
+                args=list(words),
+                config=() if prefixes else (tyro.conf.OmitArgPrefixes,),
+                **settings,
+            )
+    except SystemExit:
+        refused = _refused(said.getvalue())
+        if refused is not None:
+            raise ValueError(refused) from None
+        raise
+    finally:
+        if _refused(said.getvalue()) is None:
+            sys.stderr.write(said.getvalue())
     return made
+
+
+def _refused(text: str) -> str | None:
+    """The line in which tyro tells of a value that cannot be, taken out of its box; None if none.
+
+    The config's own words are enough: they name the argument.
+    """
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", text)
+    lines = [line.strip("╭╮╰╯│─ ") for line in plain.splitlines()]
+    if lines[:1] != ["Value error"]:
+        return None
+    # Rules are above and below; without Unicode they are dashes.
+    lines = list(itertools.dropwhile(lambda line: not line.strip("-"), lines[1:]))
+    message = " ".join(itertools.takewhile(lambda line: line.strip("-"), lines))
+    return re.sub(r"^Error parsing (\w+: )?", "", message)
 
 
 def evaluating(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hvf.cli.arguments import domain_named, parsed
-from hvf.registry import imported
+from hvf.importing import imported
 
 
 def run(words: Sequence[str]) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hvf.data.formats import open_episodes
+from hvf.data.formats import check_equal_lengths, open_episodes
 from hvf.data.splits import Split, episodes_of
 
 
@@ -92,6 +92,29 @@ class EpisodePool:
             self._file.read_into(int(episode), self.frames[slot], self.actions[slot])
             self.lengths[slot] = self._file.lengths[episode]
         self._held = places
+
+    def frames_every(self, stride: int) -> NDArray[np.uint8]:
+        """Each ``stride``-th frame of the episodes that the pool holds, without padding.
+
+        Returns:
+            uint8 ``[F, H, W, 3]``, one episode after another.
+
+        Raises:
+            ValueError: a stride below 1.
+        """
+        if stride < 1:
+            raise ValueError(f"stride must be at least 1, got {stride}")
+        times = np.arange(0, self.frames.shape[1], stride)
+        chosen: NDArray[np.uint8] = self.frames[:, ::stride][times <= self.lengths[:, None]]
+        return chosen
+
+    def check_equal_lengths(self, what: str) -> None:
+        """Refuse a file of episodes of different lengths, for what would take padding for frames.
+
+        Raises:
+            ValueError: they differ in length; names the file and ``what``.
+        """
+        check_equal_lengths(self._file, what)
 
     def close(self) -> None:
         """Close the file; what the pool holds stays."""

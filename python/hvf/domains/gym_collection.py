@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -11,9 +11,7 @@ from rich.console import Console
 
 from hvf.data.collect import CollectConfig, collect
 from hvf.data.episodes import Episodes
-
-if TYPE_CHECKING:
-    from hvf.domains.gym import GymEnv
+from hvf.domains.gym_env import GymEnv
 
 
 @dataclasses.dataclass(frozen=True)

@@ -37,7 +37,7 @@ TEMPORAL_DISTANCE = ModelEntry(
     kind="object",
     role="distance",
     module="hvf.models.temporal_distance:TemporalDistance",
-    plannable="hvf.worlds.costs:temporal_of",
+    plannable="hvf.worlds.distances:temporal_of",
     recipe="hvf.training.recipes.temporal_distance:TemporalDistanceRecipe",
     assumes=(
         "what the keypoint dynamics assumes, whose keypoints it compares; "

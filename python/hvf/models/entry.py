@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
-from hvf.registry import imported
+from hvf.importing import imported
 
 Role: TypeAlias = Literal["dynamics", "generator", "distance"]
 """What a model is good for: predicting frames, drawing subgoals, or measuring how far they are."""

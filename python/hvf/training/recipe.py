@@ -35,6 +35,7 @@ from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 from torch import nn
 
 from hvf.data.loader import EpisodePool
+from hvf.data.splits import Split, episodes_of
 from hvf.registry import MODELS
 from hvf.training.loop import LoopConfig, Sampler, Validation
 from hvf.training.loop import train as train_stage
@@ -72,26 +73,27 @@ class TrainingData:
     """The episodes that a run learns from, and those that it is measured on.
 
     Args:
-        path: file of episodes.
+        path: episodes, of any registered format.
         seed: of the order in which episodes pass through pools.
         console: where the phases are told.
+        camera: whose frames to learn from; the first one's by default.
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: damaged, or a single episode.
+        ValueError: damaged, a single episode, or without this camera.
 
     Attributes:
         held_out: the validation episodes, in memory.
         metadata: where all of them come from.
     """
 
-    def __init__(self, path: Path, seed: int, console: Console) -> None:
+    def __init__(self, path: Path, seed: int, console: Console, camera: str | None = None) -> None:
         self.path = path
         self.console = console
+        self.camera = camera
         self._seed = seed
         self._pools: list[EpisodePool] = []
-        # All of them, whatever their size: what is left out here would be learned from.
-        self.held_out = self._open("validation", memory_gb=1e6)
+        self.held_out = self._open("validation")
         self.held_out.move_to(0)
         self.metadata = self.held_out.metadata
 
@@ -121,15 +123,15 @@ class TrainingData:
     @property
     def largest_action(self) -> float | None:
         """Largest absolute number in an action, if the data tells the range of its actions."""
-        low, high = (getattr(self.metadata, name, None) for name in ("action_low", "action_high"))
-        if low is None or high is None or not len(low):
+        low, high = self.metadata.action_low, self.metadata.action_high
+        if low is None or high is None:
             return None
         return float(max(abs(number) for number in (*low, *high)))
 
     @property
     def training(self) -> int:
         """Number of the episodes to learn from: the first ones of the file."""
-        return self.metadata.episodes - len(self.held_out)
+        return len(episodes_of("train", self.metadata))
 
     def square(self, model: str) -> int:
         """Height and width of the frames, for a ``model`` that takes square ones only.
@@ -146,7 +148,7 @@ class TrainingData:
 
     def pool(self, memory_gb: float = 2.0) -> EpisodePool:
         """A pool of the episodes to learn from, closed when the run ends."""
-        return self._open("train", memory_gb=memory_gb)
+        return self._open("train", memory_gb)
 
     @contextlib.contextmanager
     def phase(self, about: str) -> Iterator[None]:
@@ -161,8 +163,10 @@ class TrainingData:
             spinner.add_task("", total=None)
             yield
 
-    def _open(self, split: Any, **settings: Any) -> EpisodePool:
-        pool = EpisodePool(self.path, split, seed=self._seed, **settings)
+    def _open(self, split: Split, memory_gb: float = 2.0) -> EpisodePool:
+        pool = EpisodePool(
+            self.path, split, memory_gb=memory_gb, seed=self._seed, camera=self.camera
+        )
         self._pools.append(pool)
         return pool
 
@@ -172,7 +176,8 @@ class Recipe:
     """What every training has to know.
 
     Attributes:
-        data: file of episodes.
+        data: episodes, of any registered format.
+        camera: whose frames to learn from; the first one's by default.
         out: directory of the run, by default below ``runs`` and named after model and preset; a
             run that is already there is continued.
         preset: name of the settings that the others began with.
@@ -185,6 +190,7 @@ class Recipe:
     """Settings by name; ``default`` is none."""
 
     data: Path
+    camera: str | None = None
     out: Path | None = None
     preset: str = "default"
     loop: LoopConfig = LoopConfig()
@@ -295,11 +301,14 @@ def run(recipe: Recipe, console: Console | None = None) -> nn.Module:
     """
     console = console or Console()
     with contextlib.ExitStack() as run_through:
-        data = run_through.enter_context(TrainingData(recipe.data, recipe.loop.seed, console))
+        data = run_through.enter_context(
+            TrainingData(recipe.data, recipe.loop.seed, console, recipe.camera)
+        )
         identity = {
             "command": f"hvf train {recipe.name}",
             "preset": recipe.preset,
             "data": dataclasses.asdict(data.metadata),
+            **({} if recipe.camera is None else {"camera": recipe.camera}),
         }
         stages = run_through.enter_context(contextlib.closing(recipe.stages(data)))
         trained: nn.Module | None = None

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from hvf.importing import imported
 from hvf.protocols import WorldModel
-from hvf.registry import imported
 from hvf.settings import Planning
 
 

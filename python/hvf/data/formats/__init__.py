@@ -155,6 +155,24 @@ def check_environment(path: Path, metadata: Metadata, environment: str | None) -
         )
 
 
+def check_equal_lengths(reader: EpisodeReader, what: str) -> None:
+    """Refuse episodes of different lengths, for what would take padding for frames.
+
+    Args:
+        reader: the episodes.
+        what: takes equally long ones only.
+
+    Raises:
+        ValueError: they differ in length; names the path and ``what``.
+    """
+    shortest, steps = int(reader.lengths.min()), reader.metadata.steps
+    if shortest != steps:
+        raise ValueError(
+            f"{reader.path}: has episodes of {shortest} to {steps} steps, {what} takes equally "
+            "long ones"
+        )
+
+
 def _format_of(path: Path) -> Format:
     # One after another: a format that is not needed is not imported.
     for name in FORMATS:

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import torch
 
+from hvf.data.formats import open_episodes
 from hvf.data.loader import EpisodePool, PairSampler
 from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
@@ -15,6 +16,7 @@ from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics
 from hvf.models.keypoint.perception import KeypointPerception
 from hvf.training.loop import LoopConfig, Validation, seeded
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
+from hvf.training.tracks.kept import refuse_unequal
 from hvf.training.tracks.keypoints import Transitions, TransitionSampler
 
 # Validation: windows of this many steps from each held-out episode, and how many are drawn.
@@ -88,7 +90,7 @@ class KeypointRecipe(Recipe):
         perception.warn_of_unexplained(_apart(perception, data.held_out))
         model = seeded(seed, lambda: KeypointDynamics(config)).freeze_perception(perception)
         episodes = min(self.episodes, data.training)
-        found = Transitions(data.path, model, episodes, console=data.console)
+        found = Transitions(data.path, model, episodes, console=data.console, camera=data.camera)
         model.fit_backgrounds(torch.from_numpy(found.backgrounds[:, 0]))
         yield Stage(
             model,
@@ -111,7 +113,14 @@ class KeypointRecipe(Recipe):
         Raises:
             ValueError: images that the model cannot take.
         """
+        with open_episodes(data.path) as file:
+            refuse_unequal(file)
         size = data.square("the keypoint model")
+        if data.metadata.steps < _HORIZON:
+            raise ValueError(
+                f"{data.path}: episodes have {data.metadata.steps} steps, "
+                f"validation needs {_HORIZON}"
+            )
         largest = data.largest_action
         try:
             return dataclasses.replace(
@@ -125,7 +134,7 @@ class KeypointRecipe(Recipe):
 
 
 def validate_perception(model: KeypointPerception, held_out: EpisodePool) -> Validation:
-    """Unexplained part of the difference between held-out frames ten steps apart, and a picture.
+    """Unexplained part of the difference between held-out frames some steps apart, and a picture.
 
     The rows of the picture: frames, masks, and the frames with the sprite taken away.
     """

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from hvf.data.formats import open_episodes
 from hvf.data.loader import EpisodePool, WindowSampler
 from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
@@ -20,7 +21,7 @@ from hvf.models.layers.perception import LayerPerception
 from hvf.training.loop import LoopConfig, Validation, seeded
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
 from hvf.training.state import fitted
-from hvf.training.tracks.kept import checksum
+from hvf.training.tracks.kept import checksum, refuse_unequal
 from hvf.training.tracks.layers import LayerSampler, LayerTracks
 
 # Colours are found in this many pairs of frames, ten steps apart.
@@ -141,7 +142,9 @@ class LayersRecipe(Recipe):
             perception.check(seen)
         model = seeded(seed, lambda: LayerDynamics(self.model)).freeze_perception(perception)
         episodes = min(self.episodes, data.training)
-        tracks = LayerTracks(data.path, perception, episodes, console=data.console)
+        tracks = LayerTracks(
+            data.path, perception, episodes, console=data.console, camera=data.camera
+        )
         model.fit_contact(*map(torch.from_numpy, tracks.contacts()))
         yield Stage(
             model,
@@ -165,6 +168,8 @@ class LayersRecipe(Recipe):
         Raises:
             ValueError: images or actions of other sizes, or episodes that are too short.
         """
+        with open_episodes(data.path) as file:
+            refuse_unequal(file)
         config, steps = self.model.perception, data.metadata.steps
         size = (config.image_size, config.image_size)
         if self.length > steps:

@@ -76,7 +76,9 @@ class LayersGeneratorRecipe(Recipe):
             roaming=perception.roaming,
         )
         episodes = min(self.episodes, data.training)
-        tracks = LayerTracks(data.path, dynamics.perception, episodes, console=data.console)
+        tracks = LayerTracks(
+            data.path, dynamics.perception, episodes, console=data.console, camera=data.camera
+        )
         yield Stage(
             seeded(seed, lambda: LayerGenerator(config)),
             StatePairs(tracks, self.batch_size, seed),

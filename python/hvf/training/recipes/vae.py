@@ -141,7 +141,8 @@ class VAERecipe(CVAERecipe):
 def _frames(pool: EpisodePool) -> torch.Tensor:
     """Frames of the first step's episodes, for the mean image."""
     pool.move_to(0)
-    return torch.from_numpy(pool.frames[:, ::_MEAN_STRIDE].reshape(-1, *pool.frames.shape[2:]))
+    times = np.arange(0, pool.frames.shape[1], _MEAN_STRIDE)
+    return torch.from_numpy(pool.frames[:, times][times <= pool.lengths[:, None]])
 
 
 # Samples and what a true image of the same scene looks like, both uint8 [N, H, W, 3], to metrics.

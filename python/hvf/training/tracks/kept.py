@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from hvf.data.episodes import Metadata
+from hvf.data.formats import EpisodeReader
 from hvf.files import replacing
 
 FORMAT = "hvf-tracks-1"
@@ -49,6 +50,7 @@ def kept_beside(
     see: Callable[[], Arrays],
     *,
     at_once: int = 1,
+    camera: str | None = None,
     console: Console | None = None,
 ) -> Arrays:
     """What ``see`` returns, or what it returned when it was called before.
@@ -64,10 +66,11 @@ def kept_beside(
         see: looks at them; arrays whose first axis is episodes.
         at_once: episodes that ``see`` looks at together. Sums may differ in the last bit when
             fewer do, so a file with more episodes must have the same groups.
+        camera: whose frames are seen.
         console: where it is said that nothing could be kept.
     """
     folder = path.with_name(f"{path.name}.tracks")
-    key = _key(path, metadata, perception)
+    key = _key(path, metadata, perception, camera)
     last = first + episodes
     for file in sorted(folder.glob(f"{key}-{first}-*.h5")):
         end = file.stem.rpartition("-")[2]
@@ -84,10 +87,23 @@ def kept_beside(
     return arrays
 
 
-def _key(path: Path, metadata: Metadata, perception: torch.nn.Module) -> str:
+def refuse_unequal(file: EpisodeReader) -> None:
+    """Refuse episodes of different lengths: what is after the end of one is no image.
+
+    Raises:
+        ValueError: it is so; names the file.
+    """
+    if (file.lengths != file.metadata.steps).any():
+        raise ValueError(
+            f"{file.path}: episodes are {file.lengths.min()} to {file.metadata.steps} steps long; "
+            "object models take episodes of one length"
+        )
+
+
+def _key(path: Path, metadata: Metadata, perception: torch.nn.Module, camera: str | None) -> str:
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     state = [(file.stat().st_size, file.stat().st_mtime_ns) for file in files]
-    described = json.dumps([FORMAT, dataclasses.asdict(metadata), state], sort_keys=True)
+    described = json.dumps([FORMAT, dataclasses.asdict(metadata), camera, state], sort_keys=True)
     whole = hashlib.sha256((checksum(perception) + described).encode())
     return whole.hexdigest()[:16]
 

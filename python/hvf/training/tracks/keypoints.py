@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from hvf.data.formats.hdf5 import EpisodeFile
+from hvf.data.formats import EpisodeReader, open_episodes
 from hvf.models.frames import to_unit
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.keypoint.scene_code import SceneCode
-from hvf.training.tracks.kept import kept_beside
+from hvf.training.tracks.kept import kept_beside, refuse_unequal
 
 _EPISODES_AT_ONCE = 4
 
@@ -32,10 +32,11 @@ class Transitions:
         episodes: how many episodes to read.
         first: the first of them.
         console: where progress goes.
+        camera: whose frames to see; the first one's by default.
 
     Raises:
-        FileNotFoundError, ValueError: as :class:`EpisodeFile`; or episodes that are not there, or
-            frames of another size than the model's.
+        FileNotFoundError, ValueError: as :func:`~hvf.data.formats.open_episodes`; or episodes
+            that are not there or of different lengths, or frames of another size than the model's.
 
     Attributes:
         keypoints: float32 ``[P, T+1, 2]``, (row, column) in pixels.
@@ -51,8 +52,10 @@ class Transitions:
         episodes: int,
         first: int = 0,
         console: Console | None = None,
+        camera: str | None = None,
     ) -> None:
-        with EpisodeFile(path) as file:
+        with open_episodes(path, camera=camera) as file:
+            refuse_unequal(file)
             if not (episodes >= 1 and 1 <= first + episodes <= len(file)):
                 raise ValueError(
                     f"episodes must be at most {len(file) - first} for {path}, got {episodes}"
@@ -70,6 +73,7 @@ class Transitions:
                 episodes,
                 lambda: _see(file, model, episodes, first, console),
                 at_once=_EPISODES_AT_ONCE,
+                camera=camera,
                 console=console,
             )
         self.keypoints: NDArray[np.float32] = found["keypoints"]
@@ -85,7 +89,7 @@ class Transitions:
 
 
 def _see(
-    file: EpisodeFile, model: KeypointDynamics, episodes: int, first: int, console: Console | None
+    file: EpisodeReader, model: KeypointDynamics, episodes: int, first: int, console: Console | None
 ) -> dict[str, NDArray[Any]]:
     steps, shape = file.metadata.steps, file.frame_shape
     keypoints = np.empty((episodes, steps + 1, 2), np.float32)

@@ -17,9 +17,9 @@ from rich.console import Console
 from rich.progress import track as progress
 from scipy.ndimage import maximum_filter1d
 
-from hvf.data.formats.hdf5 import EpisodeFile
+from hvf.data.formats import EpisodeReader, open_episodes
 from hvf.models.layers.perception import LayerPerception
-from hvf.training.tracks.kept import kept_beside
+from hvf.training.tracks.kept import kept_beside, refuse_unequal
 
 # The middle of a part can be trusted when so much is seen of it, set against the most that is seen
 # of it within so many frames: parts far away are small.
@@ -48,10 +48,12 @@ class LayerTracks:
         episodes: how many episodes to read.
         first: the first of them.
         console: where progress goes.
+        camera: whose frames to see; the first one's by default.
 
     Raises:
-        FileNotFoundError, ValueError: as :class:`EpisodeFile`; episodes that are not there, or
-            frames or actions of another kind than the perception's.
+        FileNotFoundError, ValueError: as :func:`~hvf.data.formats.open_episodes`; episodes
+            that are not there or of different lengths, or frames or actions of another kind than
+            the perception's.
 
     Attributes:
         states: as seen, float32 ``[E, T+1, X]``.
@@ -69,8 +71,10 @@ class LayerTracks:
         episodes: int,
         first: int = 0,
         console: Console | None = None,
+        camera: str | None = None,
     ) -> None:
-        with EpisodeFile(path) as file:
+        with open_episodes(path, camera=camera) as file:
+            refuse_unequal(file)
             if not 1 <= episodes <= len(file) - first:
                 raise ValueError(
                     f"episodes must be from 1 to {len(file) - first} for {path}, got {episodes}"
@@ -92,6 +96,7 @@ class LayerTracks:
                 first,
                 episodes,
                 lambda: _see(file, perception, episodes, first, console),
+                camera=camera,
                 console=console,
             )
         self.states: Floats = found["states"]
@@ -137,7 +142,7 @@ class LayerTracks:
 
 
 def _see(
-    file: EpisodeFile,
+    file: EpisodeReader,
     perception: LayerPerception,
     episodes: int,
     first: int,
