@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
-DEADLINE = 300.0
+DEADLINE = 600.0
 """Seconds that a child may take: far more than any needs, also on a busy machine."""
 
 _LAST_WORDS = 10.0
