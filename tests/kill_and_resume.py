@@ -102,10 +102,13 @@ def units(content: str, name: str) -> int:
     if name.endswith(".json"):
         return len(json.loads(Path(content).read_text()).get("trials", []))
     if name.endswith("training.safetensors"):
-        with Path(content).open("rb") as file:
-            header = json.loads(file.read(int.from_bytes(file.read(8), "little")))
-        return int(header["__metadata__"]["step"])
+        return int(_header(Path(content))["__metadata__"]["step"])
     return 1
+
+
+def _header(path: Path) -> Any:
+    with path.open("rb") as file:
+        return json.loads(file.read(int.from_bytes(file.read(8), "little")))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,9 +173,12 @@ class Verb:
         """The result's content by file, without times."""
         found: dict[str, Any] = {}
         for path in sorted(out.glob(self.job.result)):
-            content = path.read_bytes()
-            timeless = _timeless(json.loads(content)) if path.suffix == ".json" else content
-            found[str(path.relative_to(out))] = timeless
+            content: Any = path.read_bytes()
+            if path.suffix == ".json":
+                content = _timeless(json.loads(content))
+            elif path.suffix == ".safetensors":  # the order of words in its header is any
+                content = (_header(path), content[8 + int.from_bytes(content[:8], "little") :])
+            found[str(path.relative_to(out))] = content
         return found
 
 

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hvf.data.formats.hdf5 import EpisodeFile
+from hvf.data.formats import EpisodeReader
 from hvf.evaluation.image_quality import Measure, perceptual_distance, psnr, ssim
 from hvf.models.probe import PositionProbe
 from hvf.protocols import Images, Observer, Remembering
@@ -67,7 +67,7 @@ class Windows:
 
 
 def read_windows(
-    file: EpisodeFile, episodes: Iterable[int], windows: int, horizon: int, context: int = 1
+    file: EpisodeReader, episodes: Iterable[int], windows: int, horizon: int, context: int = 1
 ) -> Windows:
     """Windows of some episodes, spread evenly over each.
 
@@ -88,7 +88,7 @@ def read_windows(
     found: dict[str, list[NDArray[Any]]] = defaultdict(list)
     for number in episodes:
         episode = file.read(number, 1)
-        steps = episode.actions.shape[1]
+        steps = int(episode.lengths[0])
         last = steps - horizon
         if last < context - 1:
             continue
@@ -155,7 +155,9 @@ def context_of(world: Any) -> int:
     return int(world.context) if isinstance(world, Remembering) else 1
 
 
-def image_figures(drawn: Images, windows: Windows) -> dict[str, list[float]]:
+def image_figures(
+    drawn: Images, windows: Windows, steps_ahead: Sequence[int] | None = None
+) -> dict[str, list[float | None]]:
     """Mean PSNR (dB), SSIM and ST-LPIPS by steps ahead, `[H]` each.
 
     Of predicted frames as `psnr`, `ssim` and `st_lpips`, of the last frame seen as `..._still`.
@@ -164,22 +166,30 @@ def image_figures(drawn: Images, windows: Windows) -> dict[str, list[float]]:
     Args:
         drawn: predicted frames, uint8 `[N, H, S, S, 3]`.
         windows: what happened.
+        steps_ahead: from 1 to `H`: those at which ST-LPIPS is measured, whose network takes a
+            hundred times longer than the rest; None elsewhere.
     """
     measures: dict[str, Measure] = {"psnr": psnr, "ssim": ssim}
     if min(drawn.shape[2:4]) >= _ROOM:
         with contextlib.suppress(ModuleNotFoundError):
             measures["st_lpips"] = perceptual_distance()
-    found: dict[str, list[NDArray[np.float64]]] = defaultdict(list)
-    for i in range(0, len(windows), _AT_ONCE):
-        guess, truth = drawn[i : i + _AT_ONCE], windows.future[i : i + _AT_ONCE]
-        still = np.broadcast_to(windows.start[i : i + _AT_ONCE, None], truth.shape)
-        for name, measure in measures.items():
-            found[name].append(measure(guess, truth))
+    horizon = drawn.shape[1]
+    every = range(1, horizon + 1)
+    result: dict[str, list[float | None]] = {}
+    for name, measure in measures.items():
+        steps = every if steps_ahead is None or name != "st_lpips" else sorted(set(steps_ahead))
+        chosen = np.array(steps) - 1
+        found: dict[str, list[NDArray[np.float64]]] = defaultdict(list)
+        for i in range(0, len(windows), _AT_ONCE):
+            part = slice(i, i + _AT_ONCE)
+            truth = windows.future[part][:, chosen]
+            found[name].append(measure(drawn[part][:, chosen], truth))
+            still = np.broadcast_to(windows.start[part, None], truth.shape)
             found[f"{name}_still"].append(measure(still, truth))
-    return {
-        name: np.concatenate(values).mean(axis=0).round(4).tolist()
-        for name, values in found.items()
-    }
+        for key, values in found.items():
+            means = dict(zip(steps, np.concatenate(values).mean(axis=0).round(4), strict=True))
+            result[key] = [float(means[h]) if h in means else None for h in every]
+    return result
 
 
 def thing_figures(
@@ -271,7 +281,7 @@ def things_of(environment: str, names: Sequence[str]) -> dict[str, list[int]]:
     return found
 
 
-def check_disjoint(data: EpisodeFile, test: EpisodeFile) -> None:
+def check_disjoint(data: EpisodeReader, test: EpisodeReader) -> None:
     """Refuse to test on what was trained on.
 
     Two collections of one environment with the same seed hold the same episodes, as many as they
@@ -296,11 +306,12 @@ def check_disjoint(data: EpisodeFile, test: EpisodeFile) -> None:
         )
 
 
-def _keys(file: EpisodeFile, number: int) -> list[tuple[str, bytes]]:
+def _keys(file: EpisodeReader, number: int) -> list[tuple[str, bytes]]:
     """What two recordings of one episode have in common: its actions, or how it starts."""
-    keys = [("actions", np.asarray(file.dataset("actions")[number]).tobytes())]
-    with contextlib.suppress(KeyError):
-        keys.append(("states", np.asarray(file.dataset("states")[number, 0]).tobytes()))
+    episode = file.read(number, 1)
+    keys = [("actions", episode.actions.tobytes())]
+    if episode.states is not None:
+        keys.append(("states", episode.states[0, 0].tobytes()))
     return keys
 
 

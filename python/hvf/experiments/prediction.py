@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from hvf.data.formats.hdf5 import EpisodeFile
+from hvf.data.formats import open_episodes
+from hvf.data.splits import episodes_of
 from hvf.evaluation.prediction import (
     Things,
     Windows,
@@ -102,7 +103,7 @@ def probe(config: Probe, console: Console | None = None) -> dict[str, Any]:
     from hvf.models.checkpoint import load_any
     from hvf.settings import Planning
 
-    with EpisodeFile(config.data) as file:
+    with open_episodes(config.data) as file:
         environment = file.metadata.environment
     found = load_any(config.model, environment=environment)
     if found.entry.role != "dynamics":
@@ -145,14 +146,12 @@ def measure(
         KeyboardInterrupt: stopped; the same call goes on from there.
     """
     console = console or Console()
-    with EpisodeFile(config.data) as file, EpisodeFile(config.test_data or config.data) as test:
-        total = len(file)
-        if total < 2:
-            raise ValueError(f"{config.data}: needs 2 episodes, has {total}")
-        held_out = min(max(total // 20, 1), 200)
-        if config.test_data is None:
-            measured = range(total - held_out, total)
-        else:
+    with open_episodes(config.data) as file, open_episodes(config.test_data or config.data) as test:
+        if len(file) < 2:
+            raise ValueError(f"{config.data}: needs 2 episodes, has {len(file)}")
+        training, measured = (episodes_of(s, file.metadata) for s in ("train", "validation"))
+        held_out = measured
+        if config.test_data is not None:
             check_disjoint(file, test)
             measured = range(len(test))
         windows = read_windows(
@@ -164,8 +163,8 @@ def measure(
             things = things_of(file.metadata.environment, names)
             reader = train_probe(
                 file,
-                range(min(config.probe_episodes, total - held_out)),
-                range(total - held_out, total),
+                training[: config.probe_episodes],
+                held_out,
                 config.loop,
                 config.out / "probe",
                 lambda trained, frames, states: _misread(trained, frames, states, things),
@@ -179,7 +178,7 @@ def measure(
     drawn = predict(world, windows.past, windows.actions, windows.past_actions)
     figures |= {
         "windows": len(windows),
-        "images": image_figures(drawn, windows),
+        "images": image_figures(drawn, windows, config.steps_ahead),
         "things": thing_figures(drawn, windows, reader, things, config.steps_ahead)
         if reader
         else {},

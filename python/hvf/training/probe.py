@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from rich.console import Console
 
-from hvf.data.formats.hdf5 import EpisodeFile
+from hvf.data.formats import EpisodeReader
 from hvf.models.probe import PositionProbe, PositionProbeConfig
 from hvf.training.loop import LoopConfig, Validation, seeded, train
 
@@ -37,7 +37,7 @@ class StateSampler:
 
 
 def train_probe(
-    file: EpisodeFile,
+    file: EpisodeReader,
     episodes: Iterable[int],
     checked: Iterable[int],
     loop: LoopConfig,
@@ -83,7 +83,7 @@ def train_probe(
 
 
 def _read(
-    file: EpisodeFile, episodes: Iterable[int], stride: int
+    file: EpisodeReader, episodes: Iterable[int], stride: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     parts = [file.read(number, 1) for number in episodes]
     frames = np.concatenate([part.frames[0, ::stride] for part in parts])
