@@ -141,6 +141,7 @@ def test_a_program_of_the_readme_runs(number: int, tmp_path: Path) -> None:
 
 
 def test_blocks_are_told_apart() -> None:
-    text = "x\n```python\na\n```\n<!-- not run -->\n```python\nb\n```\n\n```\nc\n```\n```python\nd\n```"
+    blocks = ["x", "```python\na\n```", "<!-- not run -->\n```python\nb\n```", "```\nc\n```"]
+    text = "\n".join([*blocks, "```python\nd\n```"])
     found = [code for skipped, code in BLOCK.findall(text) if not skipped]
     assert found == ["a\n", "d\n"]
