@@ -18,11 +18,11 @@ from collections.abc import Callable
 import numpy as np
 from rich.console import Console
 
+import hvf
 import hvf_core
 from hvf.envs.desk.pool import DeskPool
 from hvf.envs.desk.simulator import DeskSimulator
 from hvf.envs.desk.tasks import make_episodes
-from hvf.worlds.desk import DeskWorldConfig, load_desk
 
 STEPS = 9
 
@@ -43,15 +43,15 @@ def main() -> None:
     episodes = make_episodes(DeskSimulator(), "door_two_block", 0, 0, STEPS)
     with DeskPool(1) as pool:
         starts, goals = pool.render(episodes.starts), pool.render(episodes.goals)
-        world, generator = load_desk(DeskWorldConfig(), pool)
+        world, generator = hvf.load("desk")
         mpc = hvf_core.VisualMPC(horizon=15, action_repeat=3)
 
         def step(i: int) -> None:
             mpc.plan(world, starts[i], goals[i], seed=i)
 
         def search(i: int, subgoals: int) -> None:
-            hvf = hvf_core.HVF(mpc=mpc, subgoals=subgoals)
-            hvf.search(world, generator, starts[i], goals[i], seed=i)
+            searching = hvf_core.HVF(mpc=mpc, subgoals=subgoals)
+            searching.search(world, generator, starts[i], goals[i], seed=i)
 
         step(0)
         found = {"MPC step": seconds(step, STEPS)}

@@ -16,8 +16,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+import hvf
 import hvf_core
-from hvf.worlds import MazeWorldConfig, load_maze
 
 ROUNDS = 3
 STEPS = 15
@@ -39,8 +39,8 @@ def main() -> None:
     starts = hvf_core.maze_render(states)
     goals = hvf_core.maze_render(np.hstack([targets, states[:, 2:]]))
     found: dict[str, float] = {}
-    for model in ("learned", "simulator"):
-        world, generator = load_maze(MazeWorldConfig(model, blur=3.0, over_horizon="min"))
+    for model in ("keypoint", "simulator"):
+        world, generator = hvf.load("maze", dynamics=model)
 
         def step(i: int, horizon: int = 5, world: object = world) -> None:
             mpc = hvf_core.VisualMPC(horizon=horizon)
@@ -56,12 +56,12 @@ def main() -> None:
             generator: object = generator,
         ) -> None:
             mpc = hvf_core.VisualMPC(horizon=horizon, samples=candidates, elites=candidates // 5)
-            hvf = hvf_core.HVF(mpc=mpc, subgoals=subgoals, samples=samples, elites=samples // 5)
-            hvf.search(world, generator, starts[i], goals[i], seed=i)
+            search = hvf_core.HVF(mpc=mpc, subgoals=subgoals, samples=samples, elites=samples // 5)
+            search.search(world, generator, starts[i], goals[i], seed=i)
 
         found[f"{model}: MPC step"] = seconds(step, STEPS)
         found[f"{model}: search"] = seconds(search, ROUNDS)
-        if model == "learned":
+        if model == "keypoint":
             for name, values in (
                 ("samples", (100, 400)),
                 ("candidates", (100, 400)),

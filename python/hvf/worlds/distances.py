@@ -21,6 +21,7 @@ from hvf.models.vae import CVAE
 from hvf.protocols import WorldModel
 from hvf.settings import OverHorizon, Planning
 from hvf.worlds.keypoint import KeypointWorld
+from hvf.worlds.world import Around
 
 _AT_ONCE = 512
 
@@ -76,7 +77,7 @@ class StepsDistance:
         return distance
 
 
-class DistanceWorld:
+class DistanceWorld(Around):
     """The compact dynamics model with a distance as its planning cost.
 
     Args:
@@ -91,14 +92,9 @@ class DistanceWorld:
         self.over_horizon = over_horizon
 
     @property
-    def action_low(self) -> NDArray[np.float32]:
-        """Lowest action, float32 `[A]`."""
-        return self.world.action_low
-
-    @property
-    def action_high(self) -> NDArray[np.float32]:
-        """Highest action, float32 `[A]`."""
-        return self.world.action_high
+    def inner(self) -> Any:
+        """The world that predicts."""
+        return self.world
 
     def observe(self, images: NDArray[np.uint8]) -> hvf_core.KeypointFrames:
         """Frames of uint8 `images [N, S, S, 3]`."""
@@ -121,7 +117,7 @@ class DistanceWorld:
         return result
 
 
-class LatentWorld:
+class LatentWorld(Around):
     """Any world that draws what it predicts, with distance in a VAE's latent as its cost.
 
     Args:
@@ -137,16 +133,9 @@ class LatentWorld:
         self.over_horizon = over_horizon
 
     @property
-    def action_low(self) -> NDArray[np.float32]:
-        """Lowest action, float32 `[A]`."""
-        low: NDArray[np.float32] = self.world.action_low
-        return low
-
-    @property
-    def action_high(self) -> NDArray[np.float32]:
-        """Highest action, float32 `[A]`."""
-        high: NDArray[np.float32] = self.world.action_high
-        return high
+    def inner(self) -> Any:
+        """The world that predicts."""
+        return self.world
 
     def observe(self, images: NDArray[np.uint8]) -> Any:
         """Frames of uint8 `images [N, S, S, 3]`."""

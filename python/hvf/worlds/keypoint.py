@@ -5,6 +5,8 @@ Perception runs in torch, rollouts and costs in Rust (`hvf_core.KeypointWorld`).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -14,12 +16,12 @@ from hvf.models.frames import to_frames, to_unit
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.keypoint.generator import KeypointGenerator
 from hvf.settings import OverHorizon, Planning
-from hvf.worlds.checks import checked_images
+from hvf.worlds.world import Around, checked_images
 
 _IMAGES_AT_ONCE = 512
 
 
-class KeypointWorld:
+class KeypointWorld(Around):
     """The compact dynamics model as a world model (`hvf.protocols.WorldModel`).
 
     Args:
@@ -64,14 +66,9 @@ class KeypointWorld:
         )
 
     @property
-    def action_low(self) -> NDArray[np.float32]:
-        """Lowest action, float32 `[A]`."""
-        return self.native.action_low
-
-    @property
-    def action_high(self) -> NDArray[np.float32]:
-        """Highest action, float32 `[A]`."""
-        return self.native.action_high
+    def inner(self) -> Any:
+        """The world in Rust."""
+        return self.native
 
     def observe(self, images: NDArray[np.uint8]) -> hvf_core.KeypointFrames:
         """Frames of uint8 `images [N, S, S, 3]`.

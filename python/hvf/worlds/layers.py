@@ -5,6 +5,8 @@ Perception runs in torch; rollouts, drawn frames and costs in Rust (`hvf_core.La
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -15,12 +17,12 @@ from hvf.models.frames import to_frames
 from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.layers.perception import Scene
 from hvf.settings import OverHorizon, Planning
-from hvf.worlds.checks import checked_images
+from hvf.worlds.world import Around, checked_images
 
 _IMAGES_AT_ONCE = 64
 
 
-class LayerWorld:
+class LayerWorld(Around):
     """The layers model as a world model (`hvf.protocols.WorldModel`).
 
     Args:
@@ -58,14 +60,9 @@ class LayerWorld:
         )
 
     @property
-    def action_low(self) -> NDArray[np.float32]:
-        """Lowest action, float32 `[A]`."""
-        return self.native.action_low
-
-    @property
-    def action_high(self) -> NDArray[np.float32]:
-        """Highest action, float32 `[A]`."""
-        return self.native.action_high
+    def inner(self) -> Any:
+        """The world in Rust."""
+        return self.native
 
     def observe(self, images: NDArray[np.uint8]) -> hvf_core.LayerFrames:
         """Frames of uint8 `images [N, S, S, 3]`.

@@ -25,7 +25,7 @@ from hvf.envs.desk.simulator import (
     Floats,
 )
 from hvf.settings import OverHorizon, check_blur, check_word
-from hvf.worlds.checks import checked_images
+from hvf.worlds.world import checked_images
 
 Images = NDArray[np.uint8]
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -14,74 +13,13 @@ from numpy.typing import NDArray
 import hvf_core
 from hvf.data.loader import EpisodePool
 from hvf.images import frame_grid
-from hvf.models.checkpoint import load_model
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.keypoint.generator import GeneratorConfig, KeypointGenerator
-from hvf.training.loop import LoopConfig, Validation, seeded
-from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
-from hvf.training.tracks.kept import checksum
-from hvf.training.tracks.keypoints import Transitions
+from hvf.training.loop import LoopConfig, Validation
+from hvf.training.recipes.on_keypoints import OnKeypoints
 
 _SHOWN = 10
 _SAMPLES = 200
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class KeypointGeneratorRecipe(Recipe):
-    """Training of the keypoint generator.
-
-    Attributes:
-        dynamics: trained keypoint dynamics (``hvf train keypoint``).
-        episodes: episodes to learn from, at most.
-        batch_size: keypoints per step.
-        model: the network; the size of its images is the dynamics'.
-        loop: how to optimise.
-    """
-
-    name: ClassVar[str] = "keypoint-generator"
-
-    dynamics: Path = Path("runs/keypoint/model.safetensors")
-    episodes: int = 1000
-    batch_size: int = 1024
-    model: GeneratorConfig = GeneratorConfig()
-    loop: LoopConfig = LoopConfig(
-        steps=5000,
-        learning_rate=2e-3,
-        schedule="cosine",
-        warmup_steps=100,
-        validate_every=2500,
-        checkpoint_every=1000,
-        threads=1,
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.at_least_one("episodes", "batch_size")
-
-    def stages(self, data: TrainingData) -> Stages:
-        """One stage: where keypoints are, given the code of their scene."""
-        seed = self.loop.seed
-        dynamics = load_model(self.dynamics, KeypointDynamics, environment=data.environment)
-        size = dynamics.config.perception.image_size
-        config = dataclasses.replace(self.model, image_size=size)
-        model = seeded(seed, lambda: KeypointGenerator(config))
-        episodes = min(self.episodes, data.training)
-        found = Transitions(data.path, dynamics, episodes, console=data.console, camera=data.camera)
-        codes = found.codes(dynamics, model.code)
-        yield Stage(
-            model,
-            KeypointSampler(found.keypoints, codes, self.batch_size, seed),
-            self.loop,
-            "generator: where the keypoint may be in a scene",
-            settings={
-                "dynamics": checksum(dynamics),
-                "episodes": self.episodes,
-                "batch_size": self.batch_size,
-            },
-            validate=lambda trained, generator: validate_generator(
-                trained, dynamics, data.held_out, generator
-            ),
-        )
 
 
 class KeypointSampler:
@@ -107,6 +45,45 @@ class KeypointSampler:
             "keypoints": torch.from_numpy(self._keypoints[episode, time]),
             "codes": torch.from_numpy(self._codes[episode]),
         }
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class KeypointGeneratorRecipe(OnKeypoints):
+    """Training of the keypoint generator.
+
+    Attributes:
+        batch_size: keypoints per step.
+        model: the network; the size of its images is the dynamics'.
+        loop: how to optimise.
+    """
+
+    name: ClassVar[str] = "keypoint-generator"
+    about: ClassVar[str] = "generator: where the keypoint may be in a scene"
+    sampler: ClassVar[type[KeypointSampler]] = KeypointSampler
+    network: ClassVar[type[KeypointGenerator]] = KeypointGenerator
+
+    episodes: int = 1000
+    batch_size: int = 1024
+    model: GeneratorConfig = GeneratorConfig()
+    loop: LoopConfig = LoopConfig(
+        steps=5000,
+        learning_rate=2e-3,
+        schedule="cosine",
+        warmup_steps=100,
+        validate_every=2500,
+        checkpoint_every=1000,
+        threads=1,
+    )
+
+    def validated(
+        self,
+        model: Any,
+        dynamics: KeypointDynamics,
+        held_out: EpisodePool,
+        generator: torch.Generator,
+    ) -> Validation:
+        """See :func:`validate_generator`."""
+        return validate_generator(model, dynamics, held_out, generator)
 
 
 def validate_generator(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -14,75 +13,13 @@ from torch.nn import functional as F
 
 from hvf.data.loader import EpisodePool
 from hvf.images import frame_grid
-from hvf.models.checkpoint import load_model
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.temporal_distance import TemporalDistance, TemporalDistanceConfig
-from hvf.training.loop import LoopConfig, Validation, seeded
-from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
-from hvf.training.tracks.kept import checksum
-from hvf.training.tracks.keypoints import Transitions
+from hvf.training.loop import LoopConfig, Validation
+from hvf.training.recipes.on_keypoints import OnKeypoints
 
 _SHOWN = 10
 _PAIRS = 8192
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class TemporalDistanceRecipe(Recipe):
-    """Training of the temporal distance.
-
-    Attributes:
-        dynamics: trained keypoint dynamics (``hvf train keypoint``).
-        episodes: episodes to learn from, at most.
-        batch_size: pairs per step.
-        model: the network; the size of its images is the dynamics'.
-        loop: how to optimise.
-    """
-
-    name: ClassVar[str] = "temporal-distance"
-
-    dynamics: Path = Path("runs/keypoint/model.safetensors")
-    episodes: int = 3000
-    batch_size: int = 2048
-    model: TemporalDistanceConfig = TemporalDistanceConfig()
-    loop: LoopConfig = LoopConfig(
-        steps=10_000,
-        learning_rate=3e-3,
-        schedule="cosine",
-        warmup_steps=100,
-        precision="float32",
-        validate_every=5000,
-        checkpoint_every=1000,
-        threads=1,
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.at_least_one("episodes", "batch_size")
-
-    def stages(self, data: TrainingData) -> Stages:
-        """One stage: how many steps are between two keypoints of a scene."""
-        seed = self.loop.seed
-        dynamics = load_model(self.dynamics, KeypointDynamics, environment=data.environment)
-        size = dynamics.config.perception.image_size
-        config = dataclasses.replace(self.model, image_size=size)
-        model = seeded(seed, lambda: TemporalDistance(config))
-        episodes = min(self.episodes, data.training)
-        found = Transitions(data.path, dynamics, episodes, console=data.console, camera=data.camera)
-        codes = found.codes(dynamics, model.code)
-        yield Stage(
-            model,
-            KeypointPairs(found.keypoints, codes, self.batch_size, seed),
-            self.loop,
-            "distance: steps between two keypoints of a scene",
-            settings={
-                "dynamics": checksum(dynamics),
-                "episodes": self.episodes,
-                "batch_size": self.batch_size,
-            },
-            validate=lambda trained, generator: validate_temporal_distance(
-                trained, dynamics, data.held_out, generator
-            ),
-        )
 
 
 class KeypointPairs:
@@ -118,6 +55,46 @@ class KeypointPairs:
             "codes": torch.from_numpy(self._codes[episode]),
             "steps": torch.from_numpy(steps),
         }
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TemporalDistanceRecipe(OnKeypoints):
+    """Training of the temporal distance.
+
+    Attributes:
+        batch_size: pairs per step.
+        model: the network; the size of its images is the dynamics'.
+        loop: how to optimise.
+    """
+
+    name: ClassVar[str] = "temporal-distance"
+    about: ClassVar[str] = "distance: steps between two keypoints of a scene"
+    sampler: ClassVar[type[KeypointPairs]] = KeypointPairs
+    network: ClassVar[type[TemporalDistance]] = TemporalDistance
+
+    episodes: int = 3000
+    batch_size: int = 2048
+    model: TemporalDistanceConfig = TemporalDistanceConfig()
+    loop: LoopConfig = LoopConfig(
+        steps=10_000,
+        learning_rate=3e-3,
+        schedule="cosine",
+        warmup_steps=100,
+        precision="float32",
+        validate_every=5000,
+        checkpoint_every=1000,
+        threads=1,
+    )
+
+    def validated(
+        self,
+        model: Any,
+        dynamics: KeypointDynamics,
+        held_out: EpisodePool,
+        generator: torch.Generator,
+    ) -> Validation:
+        """See :func:`validate_temporal_distance`."""
+        return validate_temporal_distance(model, dynamics, held_out, generator)
 
 
 def validate_temporal_distance(
