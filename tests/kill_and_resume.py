@@ -249,9 +249,10 @@ def _difference(one: Any, other: Any, place: str = "") -> str:
 
 
 def _timeless(content: Any) -> Any:
-    """JSON without what depends on the clock."""
+    """JSON without what depends on the clock, or on a commit that is made meanwhile."""
     if isinstance(content, dict):
-        return {name: _timeless(value) for name, value in content.items() if "seconds" not in name}
+        lasting = {k: v for k, v in content.items() if "seconds" not in k and k != "commit"}
+        return {name: _timeless(value) for name, value in lasting.items()}
     if isinstance(content, list):
         return [_timeless(value) for value in content]
     return content
