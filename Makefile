@@ -8,14 +8,16 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= outputs
+# Tests run on up to four cores, a file of them on one. PYTEST takes more options.
+PYTEST ?= --numprocesses=auto --maxprocesses=4 --dist=loadfile
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml Cargo.lock
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test bench lint format clean
+.PHONY: help setup demo test test-rust test-python quick bench lint lint-rust lint-python format clean
 
 help: ## Show this list
 	@echo "HVF: hierarchical visual foresight"
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk 'BEGIN {FS = ":.*## "}; {printf "  make %-8s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | grep -v '(internal)' | awk 'BEGIN {FS = ":.*## "}; {printf "  make %-8s %s\n", $$1, $$2}'
 
 $(VENV)/.python: ## (internal) virtual environment
 	@command -v cargo >/dev/null || { echo "error: cargo not found; install Rust 1.89 or newer (https://rustup.rs)"; exit 1; }
@@ -39,17 +41,28 @@ setup: $(VENV)/.extension ## Make the virtual environment, build and install eve
 demo: setup ## Reach goal images in the maze with the shipped models; writes pictures
 	@$(BIN)/hvf demo maze --out $(OUT)/demo
 
-test: setup ## Build and run all tests (cargo and pytest)
+test: test-rust test-python ## Build and run all tests (cargo and pytest)
+
+test-rust: ## (internal) cargo's tests
 	cargo test --release --quiet -p hvf-core
-	$(BIN)/python -m pytest
+
+test-python: setup ## (internal) pytest
+	$(BIN)/python -m pytest $(PYTEST)
+
+quick: setup ## Build and run the tests in Python that do not take long
+	$(BIN)/python -m pytest $(PYTEST) -m "not slow"
 
 bench: setup ## Throughput of maze, costs and planner; ratios to numpy and torch
 	cargo bench -p hvf-core
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
-lint: setup ## Formatting, clippy, ruff, mypy
+lint: lint-rust lint-python ## Formatting, clippy, ruff, mypy
+
+lint-rust: ## (internal) cargo fmt, clippy
 	cargo fmt --all --check
 	cargo clippy --release --all-targets --quiet -- -D warnings
+
+lint-python: setup ## (internal) ruff, mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
