@@ -27,7 +27,7 @@ from golden.record import (
     PLANS,
     episodes,
     machine,
-    two_threads,
+    one_thread,
 )
 
 PLANNED: dict[str, Any] = json.loads(PLANS.read_text())
@@ -51,7 +51,7 @@ def with_mujoco(request: pytest.FixtureRequest) -> None:
 
 @pytest.fixture(autouse=True)
 def threads_as_recorded() -> Iterator[None]:
-    with two_threads():
+    with one_thread():
         yield
 
 

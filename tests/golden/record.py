@@ -41,12 +41,12 @@ def machine() -> str:
 
 
 @contextmanager
-def two_threads() -> Iterator[None]:
-    """Torch computes with two threads: in how many parts it adds up shows in the last bits."""
+def one_thread() -> Iterator[None]:
+    """Torch computes with one thread: in how many parts it adds up shows in the last bits."""
     import torch
 
     before = torch.get_num_threads()
-    torch.set_num_threads(2)
+    torch.set_num_threads(1)
     try:
         yield
     finally:
@@ -216,5 +216,5 @@ def write(path: Path, cases: Mapping[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    with two_threads():
+    with one_thread():
         record(tuple(sys.argv[1:]))
