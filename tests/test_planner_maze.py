@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hvf_core
 from hvf import protocols
 from hvf_core import (
     HVF,
@@ -179,3 +180,27 @@ except KeyboardInterrupt:
 def test_ctrl_c_stops_a_native_plan(interrupted_output: Callable[[str], str]) -> None:
     program = INTERRUPTED.format(path=os.path.dirname(__file__))
     assert interrupted_output(program).endswith("interrupted\n")
+
+
+def test_what_a_learned_world_sees_does_not_depend_on_torchs_threads() -> None:
+    torch = pytest.importorskip("torch")
+    import hvf
+
+    world, generator = hvf.load("maze")
+    assert generator is not None
+    images = hvf_core.maze_collect(3, 0, 40, 1)[0][:, 0]
+    latents = np.random.default_rng(0).normal(size=(50, 2, generator.latent_dim))
+    found = []
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 2, 5):
+            torch.set_num_threads(threads)
+            frames = world.observe(images)  # type: ignore[attr-defined]
+            drawn = generator.decode(frames[np.array([0])], latents.astype(np.float32))
+            found.append((frames.keypoints, frames.maps, drawn.images))
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    for others in found[1:]:
+        for ours, theirs in zip(found[0], others, strict=True):
+            np.testing.assert_array_equal(ours, theirs)

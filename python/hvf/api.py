@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report
 from hvf.protocols import SubgoalModel, WorldModel
 from hvf.registry import DOMAINS
+from hvf.settings import World, changed
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,15 +34,20 @@ def load(
     Raises:
         FileNotFoundError: weights that are not there.
         ValueError: a name that there is not, or a setting out of range.
+        TypeError: a setting that there is not.
     """
     from hvf.worlds.load import load as load_world
 
     place = DOMAINS[domain]
-    evaluation = Evaluation.of(domain, preset, method="none", **settings)
-    draws = place.resolved(evaluation.world).dynamics not in place.privileged
+    chosen = place.preset(preset)
+    # Not an evaluation: a domain of recorded video has no tasks.
+    worldly = {field.name for field in dataclasses.fields(World)}
+    named = {name: settings.pop(name) for name in worldly & settings.keys()}
+    world, planning = dataclasses.replace(chosen.world, **named), changed(chosen.planning, settings)
+    draws = place.resolved(world).dynamics not in place.privileged
     opened = place.open()
     try:
-        loaded = load_world(place, evaluation.world, evaluation.planning, opened, generator=draws)
+        loaded = load_world(place, world, planning, opened, generator=draws)
     finally:
         if draws:
             # A simulator goes on running behind its world, until the program ends.
@@ -83,7 +90,7 @@ def evaluate(
     return run(evaluation, trials, file, workers=workers, console=console)
 
 
-def train(model: str, data: str | Path, **settings: Any) -> Module:
+def train(model: str, data: str | Path, /, **settings: Any) -> Module:
     """Train a model on a file of episodes, or go on with the run; what ``hvf train`` does.
 
     Args:

@@ -239,6 +239,10 @@ def changed(planning: Planning, settings: Mapping[str, Any]) -> Planning:
     Raises:
         TypeError: a setting that there is not.
     """
+    known = {field.name for field in dataclasses.fields(planning)}
+    for name in settings:
+        if name not in known:
+            raise TypeError(f"{name}: there is no such setting")
     return dataclasses.replace(planning, **settings)
 
 

@@ -12,12 +12,11 @@ environment: there are no ground-truth subgoals and no simulator to plan with.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from numpy.typing import NDArray
 
 from hvf.domains.domain import Domain, Place
@@ -28,31 +27,27 @@ from hvf.settings import Planning, Preset, World
 
 
 class GymTrials:
-    """Episodes ``first..first + count`` of a seed, side by side in a vector environment.
+    """Episodes ``first..first + count`` of a seed, side by side, each in an environment of its own.
 
     Args:
-        vector: an environment of ``B`` copies, of any kind that Gymnasium has.
+        envs: ``B`` copies of the environment.
         where: where in it to look.
         seed: of the episodes; episode ``i`` is reset with a seed made of (seed, i).
         first: number of the first.
     """
 
-    def __init__(self, vector: SyncVectorEnv, where: GymEnv, seed: int, first: int) -> None:
-        self._vector, self._where = vector, where
-        count = vector.num_envs
-        seeds: list[int | None] = [
-            int(np.random.SeedSequence([seed, first + i]).generate_state(1)[0] >> 1)
-            for i in range(count)
-        ]
-        observations, infos = vector.reset(seed=seeds)
-        self._images = where.image(observations).copy()
-        self._goals = np.stack(
-            [where.goal(_one(observations, i), _one(infos, i)) for i in range(count)]
-        )
-        self._success = np.zeros(count, np.bool_)
-        space = vector.single_action_space
-        assert isinstance(space, gymnasium.spaces.Box)
-        self._idle = np.clip(np.zeros(space.shape), space.low, space.high).astype(space.dtype)
+    def __init__(
+        self, envs: Sequence[gymnasium.Env[Any, Any]], where: GymEnv, seed: int, first: int
+    ) -> None:
+        self._envs, self._where = envs, where
+        images, goals = [], []
+        for number, env in enumerate(envs, first):
+            word = int(np.random.SeedSequence([seed, number]).generate_state(1)[0] >> 1)
+            observation, info = env.reset(seed=word)
+            images.append(where.image(observation))
+            goals.append(where.goal(observation, info))
+        self._images, self._goals = np.stack(images), np.stack(goals)
+        self._success = np.zeros(len(envs), np.bool_)
 
     @property
     def goals(self) -> Images:
@@ -61,7 +56,7 @@ class GymTrials:
 
     def __len__(self) -> int:
         """Return the number of episodes, ``B``."""
-        return self._vector.num_envs
+        return len(self._envs)
 
     def observe(self, which: Indices) -> Images:
         """Return the images that were seen last."""
@@ -69,21 +64,20 @@ class GymTrials:
         return images
 
     def step(self, which: Indices, actions: NDArray[np.float32]) -> dict[int, str]:
-        """Apply ``actions[N, A]`` to the trials ``which``; the others idle, and are not looked at.
+        """Apply ``actions[N, A]`` to the trials ``which``; the others stay as they are.
 
         Returns:
             Those that ended without success: number of the trial to words.
         """
-        every = np.repeat(self._idle[None], len(self), axis=0)
-        every[which] = actions
-        observations, _, terminated, truncated, infos = self._vector.step(every)
-        images, ended = self._where.image(observations), {}
-        for trial in map(int, which):
-            self._images[trial] = images[trial]
-            info = _one(infos, trial)
-            said = info.get(self._where.success_key, terminated[trial])
+        ended = {}
+        for trial, action in zip(map(int, which), actions, strict=True):
+            env = self._envs[trial]
+            taken = np.asarray(action, env.action_space.dtype)
+            observation, _, terminated, truncated, info = env.step(taken)
+            self._images[trial] = self._where.image(observation)
+            said = info.get(self._where.success_key, terminated)
             self._success[trial] = bool(said)
-            if (terminated[trial] or truncated[trial]) and not said:
+            if (terminated or truncated) and not said:
                 ended[trial] = str(info.get("error", "the environment ended the episode"))
         return ended
 
@@ -102,21 +96,20 @@ class GymPlace(Place):
 
     def __init__(self, envs: Mapping[str, GymEnv]) -> None:
         self._envs = envs
-        self._vectors: list[VectorEnv[Any, Any, Any]] = []
+        self._open: list[gymnasium.Env[Any, Any]] = []
 
     def trials(self, task: str, seed: int, first: int, count: int) -> GymTrials:
-        """Fresh trials, in as many copies of the environment."""
+        """Fresh trials, in as many copies of the environment; the last ones are closed."""
         where = self._envs[task]
-        vector = SyncVectorEnv([where.make] * count, autoreset_mode=AutoresetMode.DISABLED)
         self.close()
-        self._vectors.append(vector)
-        return GymTrials(vector, where, seed, first)
+        for _ in range(count):
+            self._open.append(where.make())
+        return GymTrials(tuple(self._open), where, seed, first)
 
     def close(self) -> None:
         """Close the environments."""
-        for vector in self._vectors:
-            vector.close()
-        self._vectors.clear()
+        while self._open:
+            self._open.pop().close()
 
 
 def gym_domain(
@@ -179,17 +172,3 @@ def gym_domain(
         collection=more.pop("collection", collection),
         **more,
     )
-
-
-def _one(batch: Any, number: int) -> Any:
-    """What one environment of a vector said, of a batch of observations or infos."""
-    if not isinstance(batch, Mapping):
-        return batch[number]
-    found = {}
-    for key, values in batch.items():
-        if key.startswith("_"):
-            continue
-        present = batch.get(f"_{key}")
-        if present is None or present[number]:
-            found[key] = values[number] if not isinstance(values, Mapping) else _one(values, number)
-    return found

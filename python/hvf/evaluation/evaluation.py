@@ -13,7 +13,7 @@ import tyro
 from hvf.data.splits import EPISODE_SEEDS
 from hvf.domains.domain import Domain
 from hvf.registry import DOMAINS, METHODS
-from hvf.settings import Acting, Planning, Preset, World
+from hvf.settings import Acting, Planning, Preset, World, changed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,14 +87,10 @@ class Evaluation:
             for name, value in settings.items()
             if name not in own and name not in worldly
         }
-        known = {field.name for field in dataclasses.fields(Planning)}
-        for name in rest:
-            if name not in known:
-                raise TypeError(f"{name}: there is no such setting")
         mine.setdefault("world", chosen.world)
         mine["world"] = dataclasses.replace(mine["world"], **world)
         mine.setdefault("planning", chosen.planning)
-        mine["planning"] = dataclasses.replace(mine["planning"], **rest)
+        mine["planning"] = changed(mine["planning"], rest)
         return cls(domain=domain, preset=preset, **mine)
 
     @property

@@ -10,6 +10,8 @@ tests how far a model carries has to be able to go on.
 
 Of a call with several images a share of them has to be explained badly. Images come in calls by
 kind: what is seen in many trials, or what a generator draws of one scene, where some are smudges.
+And of all images so far more than half have to be in such calls, at least two: a single subgoal
+that was drawn badly says nothing of the scene.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ from torch import nn
 
 LOOKED_AT = 16
 """Images of a call that are looked at, at most."""
+_LEAST = 2
+"""Images that have to be explained badly."""
 
 
 def every(count: int) -> slice:
@@ -34,6 +38,8 @@ def warn_of_unfamiliar(
 ) -> None:
     """Warn, once for each model, if more than a share of `misfit [N]` is above 1.
 
+    In this call, and in calls with more than half of all images so far.
+
     Args:
         model: whose misfit it is.
         misfit: how badly it explains each image, 1 at its bound; NaN counts as badly.
@@ -43,7 +49,10 @@ def warn_of_unfamiliar(
     if not len(misfit) or getattr(model, "_warned_of_unfamiliar", False):
         return
     deciding = float(np.sort(misfit)[int((1.0 - share) * (len(misfit) - 1))])
-    if not deciding <= 1.0:
+    seen, badly = getattr(model, "_images_seen", (0, 0))
+    seen, badly = seen + len(misfit), badly + (0 if deciding <= 1.0 else len(misfit))
+    model._images_seen = (seen, badly)  # type: ignore[assignment]
+    if not deciding <= 1.0 and badly >= _LEAST and 2 * badly > seen:
         model._warned_of_unfamiliar = True  # type: ignore[assignment]
         warnings.warn(
             f"images: the model explains them badly ({deciding:.1f} times its bound), so what it "

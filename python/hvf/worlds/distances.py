@@ -21,6 +21,7 @@ from hvf.models.vae import CVAE
 from hvf.protocols import WorldModel
 from hvf.settings import OverHorizon, Planning
 from hvf.worlds.keypoint import KeypointWorld
+from hvf.worlds.threads import one_thread
 from hvf.worlds.world import Around
 
 _AT_ONCE = 512
@@ -110,7 +111,7 @@ class DistanceWorld(Around):
         path = torch.from_numpy(self.world.native.rollout(starts, actions))
         if self.over_horizon == "last":
             path = path[:, :, -1:]
-        with torch.inference_mode():
+        with one_thread():
             costs = self.distance(starts, goals, path)
             total = costs.amin(dim=2) if self.over_horizon == "min" else costs.sum(dim=2)
         result: NDArray[np.float32] = total.numpy()
@@ -153,7 +154,7 @@ class LatentWorld(Around):
             drawn = self.world.predict(starts[np.repeat(one, candidates)], actions[b])
             seen = drawn[:, -1:] if self.over_horizon == "last" else drawn
             goal = to_unit(torch.from_numpy(np.ascontiguousarray(goals[one].images)))
-            with torch.inference_mode():
+            with one_thread():
                 aim = self._encode(goal, scene)
                 flat = torch.from_numpy(np.ascontiguousarray(seen)).flatten(0, 1)
                 parts = [self._encode(to_unit(part), scene) for part in torch.split(flat, _AT_ONCE)]

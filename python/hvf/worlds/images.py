@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.vae import CVAE
+from hvf.worlds.threads import one_thread
 
 
 class Seen(Protocol):
@@ -42,7 +43,7 @@ class ImageSubgoals:
         """Images uint8 `[M * K, H, W, 3]` for `latents [M, K, L]` in the scene of `scene [1]`."""
         count = latents.shape[0] * latents.shape[1]
         seen = np.asarray(getattr(scene, "images", scene))
-        with torch.inference_mode():
+        with one_thread():
             flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
             conditional = self.cvae.config.conditional
             start = to_unit(torch.from_numpy(seen).to(self._device)) if conditional else None

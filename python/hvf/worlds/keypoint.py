@@ -16,6 +16,7 @@ from hvf.models.frames import to_frames, to_unit
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.keypoint.generator import KeypointGenerator
 from hvf.settings import OverHorizon, Planning
+from hvf.worlds.threads import one_thread
 from hvf.worlds.world import Around, checked_images
 
 _IMAGES_AT_ONCE = 512
@@ -80,7 +81,7 @@ class KeypointWorld(Around):
         size = self.dynamics.config.perception.image_size
         images = checked_images(images, size, size)
         device = self.dynamics.perception.colour.device
-        with torch.inference_mode():
+        with one_thread():
             parts = torch.split(torch.from_numpy(images), _IMAGES_AT_ONCE)
             observed = [self.dynamics.observe(part.to(device)) for part in parts]
             keypoints = torch.cat([keypoint for keypoint, _ in observed]).cpu().numpy()
@@ -104,7 +105,7 @@ class KeypointWorld(Around):
         count, horizon = path.shape[:2]
         images = to_unit(torch.from_numpy(starts.images)).repeat_interleave(horizon, dim=0)
         before = torch.from_numpy(starts.keypoints).repeat_interleave(horizon, dim=0)
-        with torch.inference_mode():
+        with one_thread():
             drawn = self.dynamics.draw(images, before, torch.from_numpy(path).flatten(0, 1))
         return to_frames(drawn).numpy().reshape(count, horizon, *starts.images.shape[1:])
 
@@ -133,7 +134,7 @@ class KeypointSubgoals:
         """Frames `[M * K]` for `latents [M, K, L]` in the scene of `scene [1]`, sample-major."""
         dynamics = self.world.dynamics
         count = latents.shape[0] * latents.shape[1]
-        with torch.inference_mode():
+        with one_thread():
             code = self.generator.code(torch.from_numpy(scene.maps))
             flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
             keypoints = self.generator.decode(flat, code.expand(count, -1))

@@ -17,6 +17,7 @@ from hvf.models.frames import to_frames
 from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.layers.perception import Scene
 from hvf.settings import OverHorizon, Planning
+from hvf.worlds.threads import one_thread
 from hvf.worlds.world import Around, checked_images
 
 _IMAGES_AT_ONCE = 64
@@ -73,7 +74,7 @@ class LayerWorld(Around):
         """
         size = self.dynamics.config.perception.image_size
         images = checked_images(images, size, size)
-        with torch.inference_mode():
+        with one_thread():
             parts = torch.split(torch.from_numpy(images), _IMAGES_AT_ONCE)
             scenes = [self.dynamics.perception.scene(part.to(self._device)) for part in parts]
             if scenes:
@@ -98,7 +99,7 @@ class LayerWorld(Around):
         if not np.isfinite(states).all():
             raise ValueError("states: must be finite")
         images, scenes = [], []
-        with torch.inference_mode():
+        with one_thread():
             start = perception.scene(torch.from_numpy(scene.images).to(self._device))
             tensor = torch.from_numpy(np.ascontiguousarray(states, np.float32)).to(self._device)
             for part in torch.split(tensor, _IMAGES_AT_ONCE):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 import hvf_core
 from hvf.models.layers.generator import LayerGenerator
 from hvf.worlds.layers import LayerWorld
+from hvf.worlds.threads import one_thread
 
 
 class StateSubgoals:
@@ -43,7 +44,7 @@ class StateSubgoals:
         Each of the `K` subgoals of a sample is drawn given the one before it, the first given the
         scene: the generator knows what a few seconds of play change, and `K` times that is more.
         """
-        with torch.inference_mode():
+        with one_thread():
             now = torch.from_numpy(scene.states).expand(len(latents), -1)
             path = []
             for drawn in torch.from_numpy(np.ascontiguousarray(latents)).unbind(dim=1):
