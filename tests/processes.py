@@ -128,7 +128,8 @@ class Child:
 
     def end(self) -> None:
         """Kill what is left of it."""
-        self.tell(signal.SIGKILL)
+        if not self.gone():  # its number may be another's by now
+            self.tell(signal.SIGKILL)
         self._process.wait()
         for reader in self._readers:
             reader.join(_LAST_WORDS)

@@ -33,4 +33,4 @@ def run(words: Sequence[str]) -> None:
 
     config = parsed(Export, "export", words)
     size = export_half(config.source, config.target)
-    Console().print(f"{config.target}: {size / 1e6:.1f} MB", highlight=False)
+    Console().print(f"{config.target}: {size / 1e6:.1f} MB", highlight=False, soft_wrap=True)
