@@ -658,3 +658,14 @@ def test_a_watched_episode_takes_its_share_of_the_bar() -> None:
         assert progress.tasks[bar].completed == 14
     assert all(1 <= outcome.trials[0].steps <= 7 for outcome in outcomes)
     assert f"after {outcomes[0].trials[0].steps} steps" in how_it_went("two", outcomes[0])
+
+
+def test_a_repository_that_does_not_answer_is_an_error_and_no_other_code(tmp_path: Path) -> None:
+    git = tmp_path / "git"
+    git.write_text("#!/bin/sh\nexec sleep 100\n")
+    git.chmod(0o755)
+    impatient = "from hvf.evaluation import code; code._PATIENCE = 0.2; code.code_of()"
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+    done = processes.run(processes.python(impatient), env={"PATH": path})
+    assert done.returncode == 1
+    assert "RuntimeError: git rev-parse: no answer" in done.stderr

@@ -18,6 +18,7 @@ from typing import Any
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _SOURCE = ("python", "crates", "Cargo.toml", "Cargo.lock")
+_PATIENCE = 120.0
 _PROGRAMS = ("numpy", "torch", "gymnasium", "mujoco")
 
 
@@ -92,9 +93,19 @@ def _checksum(paths: list[Path]) -> str:
 
 
 def _git(folder: Path, *arguments: str) -> str:
-    result = subprocess.run(
-        ["git", *arguments], cwd=folder, capture_output=True, text=True, check=True, timeout=10
-    )
+    # On a busy machine it may take many seconds. Without an answer there must be no other identity:
+    # a stopped evaluation would be one by other code.
+    try:
+        result = subprocess.run(
+            ["git", *arguments],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=_PATIENCE,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise RuntimeError(f"git {arguments[0]}: no answer in {_PATIENCE:g} s") from error
     return result.stdout
 
 
