@@ -162,6 +162,8 @@ def test_the_keypoint_model_takes_its_sizes_from_the_data(tmp_path: Path) -> Non
     assert model.config.action_dim == 2
 
 
+# A model of a few steps has not found what moves, and says so twice.
+@pytest.mark.filterwarnings("ignore:images. the model explains")
 def test_short_episodes_are_enough_or_one_clear_error(tmp_path: Path) -> None:
     loops = {"perception_loop": SHORT, "loop": SHORT}
     for steps in (5, 4):
