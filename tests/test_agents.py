@@ -394,6 +394,23 @@ def test_a_world_with_context_gets_what_was_seen_and_done_padded_at_the_start() 
     assert max(map(abs, (first, second))) <= 2
 
 
+def test_a_long_context_is_filled_step_by_step_and_then_slides() -> None:
+    class Elephant(Retrospect):
+        context = 5
+
+        def observe_history(
+            self, images: NDArray[np.uint8], actions: NDArray[np.float32]
+        ) -> NDArray[np.uint8]:
+            assert actions.shape == (len(images), 4, 1)
+            self.given.append((places(images).tolist(), actions[..., 0].tolist()))
+            return images[:, -1]
+
+    world = Elephant()
+    act(Scripted([0]), PlanningAgent(world, MPC, no_subgoals), Acting(steps=7), [0])
+    seen = [given[0][0] for given in world.given]
+    assert seen == [[max(now - back, 0) for back in (4, 3, 2, 1, 0)] for now in range(7)]
+
+
 def test_a_world_with_context_remembers_in_steps_without_a_new_plan() -> None:
     world = Retrospect()
     agent = PlanningAgent(world, MPC, no_subgoals, Replanning(every=3))

@@ -227,7 +227,7 @@ class _Memory:
         for trial, action in zip(map(int, which), actions, strict=True):
             past = self._past.setdefault(trial, [])
             past.append((self._seen[trial], action))
-            del past[: len(past) - self._before]
+            del past[: max(len(past) - self._before, 0)]
 
     def recall(self, which: Indices, observations: Images) -> Any:
         images, actions = [], []
