@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,6 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report
 from hvf.protocols import SubgoalModel, WorldModel
 from hvf.registry import DOMAINS
-from hvf.settings import World, changed
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,15 +37,12 @@ def load(
     from hvf.worlds.load import load as load_world
 
     place = DOMAINS[domain]
-    chosen = place.preset(preset)
+    chosen = place.preset(preset).changed(settings)
     # Not an evaluation: a domain of recorded video has no tasks.
-    worldly = {field.name for field in dataclasses.fields(World)}
-    named = {name: settings.pop(name) for name in worldly & settings.keys()}
-    world, planning = dataclasses.replace(chosen.world, **named), changed(chosen.planning, settings)
-    draws = place.resolved(world).dynamics not in place.privileged
+    draws = place.resolved(chosen.world).dynamics not in place.privileged
     opened = place.open()
     try:
-        loaded = load_world(place, world, planning, opened, generator=draws)
+        loaded = load_world(place, chosen.world, chosen.planning, opened, generator=draws)
     finally:
         if draws:
             # A simulator goes on running behind its world, until the program ends.

@@ -232,6 +232,21 @@ class Preset:
     about: str = ""
     method: str | None = None
 
+    def changed(self, settings: Mapping[str, Any]) -> Preset:
+        """The preset with some settings of its world and planning changed.
+
+        Raises:
+            TypeError: a setting that neither has.
+        """
+        worldly = {field.name for field in dataclasses.fields(World)} & settings.keys()
+        world = {name: settings[name] for name in worldly}
+        rest = {name: value for name, value in settings.items() if name not in worldly}
+        return dataclasses.replace(
+            self,
+            world=dataclasses.replace(self.world, **world),
+            planning=changed(self.planning, rest),
+        )
+
 
 def changed(planning: Planning, settings: Mapping[str, Any]) -> Planning:
     """``planning`` with some settings changed.

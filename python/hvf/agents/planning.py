@@ -118,16 +118,12 @@ class PlanningAgent:
         The world's own distance where it has one, else squared pixels through a blur.
         """
         targets = [self._targets[int(b)][int(aim)] for b, aim in zip(which, aims, strict=True)]
+        aimed = _batch(self.world, targets)
         if isinstance(self.world, Measuring):
-            left = self.world.distances(
-                observed(self.world, observations), observed_all(self.world, targets)
-            )
-            return np.asarray(left)
-        if all(isinstance(target, np.ndarray) and target.ndim == 3 for target in targets):
-            aimed = np.stack(targets)
-        else:
-            aimed = np.concatenate([self.images(frames_of(target)) for target in targets])
-        return hvf_core.image_cost(observations, aimed, blur=blur)
+            frames = observed(self.world, aimed) if _are_images(targets) else aimed
+            return np.asarray(self.world.distances(observed(self.world, observations), frames))
+        images = aimed if _are_images(targets) else self.images(aimed)
+        return hvf_core.image_cost(observations, images, blur=blur)
 
     def images(self, frames: Frames) -> Images:
         """Return images of frames of the world."""
@@ -210,7 +206,7 @@ class _Current:
 class _Memory:
     """What trials have seen and done, as far back as a world with context looks."""
 
-    def __init__(self, world: Remembering[Any]) -> None:
+    def __init__(self, world: Any) -> None:
         self._world = world
         self._before = max(world.context - 1, 0)
         self._seen: dict[int, Images] = {}
@@ -231,7 +227,7 @@ class _Memory:
 
     def recall(self, which: Indices, observations: Images) -> Any:
         images, actions = [], []
-        size = len(np.asarray(getattr(self._world, "action_low")))  # noqa: B009
+        size = len(self._world.action_low)
         for trial, now in zip(map(int, which), observations, strict=True):
             past = self._past.get(trial, [])
             first = past[0][0] if past else now
@@ -243,23 +239,17 @@ class _Memory:
         return self._world.observe_history(np.stack(images), np.stack(actions))
 
 
-def frames_of(target: Any) -> Any:
-    """One image ``[H, W, 3]`` as a batch of one; frames as they are."""
-    return target[None] if isinstance(target, np.ndarray) and target.ndim == 3 else target
-
-
-def observed_all(world: Any, targets: Sequence[Any]) -> Any:
-    """Frames of the world ``[N]`` for targets that are images or frames."""
-    if all(isinstance(target, np.ndarray) and target.ndim == 3 for target in targets):
-        return observed(world, np.stack(targets))
-    return joined([frames_of(target) for target in targets], world)
+def _are_images(targets: Sequence[Any]) -> bool:
+    """Whether all targets are single images ``[H, W, 3]``, and not frames of a world."""
+    return all(isinstance(target, np.ndarray) and target.ndim == 3 for target in targets)
 
 
 def _batch(world: Any, targets: Sequence[Any]) -> Any:
-    """Targets as the planner takes them: images ``[N, H, W, 3]`` where all are images."""
-    if all(isinstance(target, np.ndarray) and target.ndim == 3 for target in targets):
+    """Targets as the planner takes them: images ``[N, H, W, 3]`` where all are, else frames."""
+    if _are_images(targets):
         return np.stack(targets)
-    return joined([frames_of(target) for target in targets], world)
+    each = [target[None] if _are_images([target]) else target for target in targets]
+    return joined(each, world)
 
 
 def _same(a: Any, b: Any) -> bool:

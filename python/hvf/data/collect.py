@@ -8,7 +8,6 @@ goes on where it was and ends in the same file.
 from __future__ import annotations
 
 import dataclasses
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from importlib.metadata import PackageNotFoundError, version
@@ -20,6 +19,7 @@ import numpy as np
 from rich.console import Console
 
 import hvf_core
+from hvf.cores import cores
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats import open_episodes
 from hvf.data.formats.hdf5 import FORMAT, EpisodeFile, join_files, write_episodes
@@ -151,7 +151,7 @@ def collect(
                             temporary,
                             dataclasses.replace(wanted, episodes=count, diverged=made.diverged),
                             made,
-                            os.cpu_count() or 1,
+                            cores(),
                         )
                 diverged += _check_part(path, wanted, count)
                 bar.advance(count, note=f"{diverged} diverged" if diverged else None)

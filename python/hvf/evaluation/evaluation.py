@@ -13,7 +13,7 @@ import tyro
 from hvf.data.splits import EPISODE_SEEDS
 from hvf.domains.domain import Domain
 from hvf.registry import DOMAINS, METHODS
-from hvf.settings import Acting, Planning, Preset, World, changed
+from hvf.settings import Acting, Planning, Preset, World
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,22 +76,14 @@ class Evaluation:
         place = DOMAINS[domain]
         chosen = place.preset(preset)
         own = {field.name for field in dataclasses.fields(cls)}
-        worldly = {field.name for field in dataclasses.fields(World)}
         mine: dict[str, Any] = {"task": place.default_task}
         if chosen.method is not None:
             mine["method"] = chosen.method
         mine |= {name: value for name, value in settings.items() if name in own}
-        world = {name: value for name, value in settings.items() if name in worldly}
-        rest = {
-            name: value
-            for name, value in settings.items()
-            if name not in own and name not in worldly
-        }
-        mine.setdefault("world", chosen.world)
-        mine["world"] = dataclasses.replace(mine["world"], **world)
-        mine.setdefault("planning", chosen.planning)
-        mine["planning"] = changed(mine["planning"], rest)
-        return cls(domain=domain, preset=preset, **mine)
+        whole = {name: mine.pop(name) for name in ("world", "planning") if name in mine}
+        inner = {name: value for name, value in settings.items() if name not in own}
+        made = dataclasses.replace(chosen, **whole).changed(inner)
+        return cls(domain=domain, preset=preset, world=made.world, planning=made.planning, **mine)
 
     @property
     def place(self) -> Domain:

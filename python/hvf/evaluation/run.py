@@ -6,26 +6,19 @@ goes on from there and ends in the same result, since a trial depends on its own
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeRemainingColumn,
-)
 
 from hvf.evaluation.acting import Outcome, Watcher
 from hvf.evaluation.code import code_of, same_code
 from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report, TrialRecord, load, save
 from hvf.evaluation.task import Task
+from hvf.progress import Bar, progress
 from hvf.protocols import Images, Indices
 
 __all__ = ["Runnable", "evaluate", "evaluate_task"]
@@ -118,20 +111,19 @@ def evaluate_task(
     console = console or Console()
     code, config = code_of(), task.config
     done, earlier = ({}, 0.0) if out is None else _finished(out, task.name, config, code, overwrite)
-    seconds = _Stopwatch(earlier)
+    begin = time.perf_counter() - earlier
 
     def report() -> Report:
         ordered = tuple(done[index] for index in sorted(done) if index < trials)
-        return Report.of(task.name, config, ordered, seconds.now, code)
+        return Report.of(task.name, config, ordered, time.perf_counter() - begin, code)
 
     missing = [index for index in range(trials) if index not in done]
-    with _progress(console, task.name) as (progress, bar):
-        total = trials * task.steps
-        progress.update(bar, total=total, completed=len(done) * task.steps)
-        watcher = _Bar(progress, bar, task.steps, trials, done)
+    total, before = trials * task.steps, len(done) * task.steps
+    with progress(console, f"{task.name}:", total, "steps", completed=before) as bar:
+        watcher = _Steps(bar, task.steps, trials, done)
         try:
             for first, count in _runs(missing, chunk or task.chunk):
-                watcher.begin(first, count)
+                watcher.begin(count)
                 for record in records(task.run(first, count, [watcher]), first):
                     done[record.index] = record
                     if record.error is not None:
@@ -162,39 +154,16 @@ def records(outcome: Outcome, first: int) -> list[TrialRecord]:
     ]
 
 
-class _Stopwatch:
-    """Wall time, on top of that of earlier runs."""
-
-    def __init__(self, earlier: float) -> None:
-        import time
-
-        self._clock = time.perf_counter
-        self._begin = self._clock() - earlier
-
-    @property
-    def now(self) -> float:
-        """Seconds so far."""
-        return self._clock() - self._begin
-
-
-class _Bar:
+class _Steps:
     """Moves a progress bar by every step and choice of subgoals (:class:`Watcher`)."""
 
-    def __init__(
-        self,
-        progress: Progress,
-        bar: TaskID,
-        steps: int,
-        trials: int,
-        done: Mapping[int, TrialRecord],
-    ) -> None:
-        self._progress, self._bar = progress, bar
-        self._steps, self._trials, self._done = steps, trials, done
-        self._first, self._count = 0, 0
+    def __init__(self, bar: Bar, steps: int, trials: int, done: Mapping[int, TrialRecord]) -> None:
+        self._bar, self._steps, self._trials, self._done = bar, steps, trials, done
+        self._count = 0
 
-    def begin(self, first: int, count: int) -> None:
+    def begin(self, count: int) -> None:
         """A chunk begins."""
-        self._first, self._count = first, count
+        self._count = count
         self._tell("choosing subgoals of")
 
     def chosen(self, trial: int) -> None:
@@ -208,32 +177,18 @@ class _Bar:
     def stepped(self, step: int, which: Indices) -> None:
         """Trials took a step."""
         ahead = len(self._done) * self._steps + step * self._count
-        self._progress.update(self._bar, completed=ahead)
+        self._bar.update(completed=ahead)
 
     def end(self) -> None:
         """A chunk is done and saved."""
-        self._progress.update(self._bar, completed=len(self._done) * self._steps)
+        self._bar.update(completed=len(self._done) * self._steps)
         self._tell("")
 
     def _tell(self, doing: str) -> None:
         reached = sum(record.success for record in self._done.values())
         now = f"; {doing} {self._count} trials" if doing else ""
         words = f"{reached} of {len(self._done)} reached the goal, {self._trials} asked for{now}"
-        self._progress.update(self._bar, state=words)
-
-
-@contextlib.contextmanager
-def _progress(console: Console, name: str) -> Iterator[tuple[Progress, TaskID]]:
-    columns = (
-        TextColumn(f"{name}:"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("steps; {task.fields[state]}; left"),
-        TimeRemainingColumn(),
-    )
-    shown = console.is_terminal
-    with Progress(*columns, console=console, disable=not shown, transient=True) as progress:
-        yield progress, progress.add_task("", total=None, state="loading")
+        self._bar.update(note=words)
 
 
 def _finished(
