@@ -13,7 +13,7 @@ import tyro
 from hvf.data.splits import EPISODE_SEEDS
 from hvf.domains.domain import Domain
 from hvf.registry import DOMAINS, METHODS
-from hvf.settings import Acting, Planning, Preset, World
+from hvf.settings import Acting, Planning, World
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,15 +142,6 @@ class Evaluation:
         if self.seed is not None:
             words.append(f"seed-{self.seed}")
         return re.sub(r"[^a-z0-9.]+", "-", " ".join(words).lower()).strip("-")
-
-
-def settings_changed(evaluation: Evaluation) -> dict[str, Any]:
-    """Settings of plan and world in which an evaluation differs from its preset."""
-    preset: Preset = evaluation.place.preset(evaluation.preset)
-    return {
-        **_changes(evaluation.world, preset.world),
-        **_changes(evaluation.planning, preset.planning),
-    }
 
 
 def _changes(a: Any, b: Any) -> Mapping[str, Any]:
