@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+pytest.importorskip("torch")
 
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
@@ -299,7 +300,7 @@ def test_noise_is_drawn_from_the_seed_of_each_candidate() -> None:
     path = PLACES[:, None, None] + np.cumsum(steps, axis=2)
     np.testing.assert_allclose(costs, slow_costs(path, goals, 0, "last"), rtol=1e-4, atol=1e-6)
     assert (costs != world.rollout_costs(ours, theirs, actions, seeds=seeds + 1)).any()
-    with pytest.raises(ValueError, match="^seeds: this model is stochastic"):
+    with pytest.raises(ValueError, match=r"^seeds: this model is stochastic"):
         world.rollout_costs(ours, theirs, actions)
     mpc = hvf_core.VisualMPC(horizon=3, samples=20, elites=5, iterations=2)
     plans = [mpc.plan(world, starts[:1], seen(goals[:1]), seed=s) for s in (1, 1, 2)]
@@ -333,18 +334,19 @@ def test_a_model_of_long_steps_takes_every_held_action_once() -> None:
     images = world.predict(world.observe(starts), held[:, 0, :5])
     expected = seen(path[:, 0].repeat(3, axis=1)[:, :5])
     assert np.abs(images.astype(int) - expected).max() <= 1
-    with pytest.raises(ValueError, match="^action_repeat: must be a multiple of 3"):
+    with pytest.raises(ValueError, match=r"^action_repeat: must be a multiple of 3"):
         VideoWorld(model, action_repeat=2)
-    with pytest.raises(ValueError, match="^action_repeat"):
+    with pytest.raises(ValueError, match=r"^action_repeat"):
         world_of(model, Planning(horizon=4, action_repeat=4))
-    with pytest.raises(ValueError, match="^actions: 5 steps are no multiple of 3"):
+    with pytest.raises(ValueError, match=r"^actions: 5 steps are no multiple of 3"):
         world.rollout_costs(world.observe(starts), world.observe(starts), held[:, :, :5])
 
 
 @pytest.mark.parametrize("hold", [1, 2])
 def test_a_model_with_context_starts_from_what_was_seen(hold: int) -> None:
     world = world_of(Square(context=2, hold=hold), Planning(horizon=4, action_repeat=hold))
-    assert isinstance(world, RememberingVideoWorld) and isinstance(world, Remembering)
+    assert isinstance(world, RememberingVideoWorld)
+    assert isinstance(world, Remembering)
     assert context_of(world) == hold + 1
     speed = np.array([0.5, -0.5])
     times = np.arange(-hold, 1)[:, None] / hold
@@ -359,7 +361,7 @@ def test_a_model_with_context_starts_from_what_was_seen(hold: int) -> None:
     np.testing.assert_allclose(costs, slow_costs(path, goals, 0, "last"), rtol=0.02, atol=1e-3)
     with pytest.raises(ValueError, match=r"^images: expected shape \[N"):
         world.observe_history(history[:, :1], past)
-    with pytest.raises(ValueError, match="^actions: expected shape"):
+    with pytest.raises(ValueError, match=r"^actions: expected shape"):
         world.observe_history(history, past[:, :0])
     # Seen for the first time, nothing moved yet.
     still = PLACES[:, None, None] + np.cumsum(hold * actions, axis=2)
@@ -427,7 +429,7 @@ def test_bad_settings_and_images_are_refused() -> None:
     world = VideoWorld(Square(), device="cpu")
     with pytest.raises(ValueError, match=r"^images: expected shape \[N, 12, 16, 3\]"):
         world.observe(np.zeros((1, 16, 12, 3), np.uint8))
-    with pytest.raises(TypeError, match="^images: must be uint8"):
+    with pytest.raises(TypeError, match=r"^images: must be uint8"):
         world.observe(np.zeros((1, 12, 16, 3), np.float32))
 
 

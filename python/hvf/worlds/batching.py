@@ -86,7 +86,8 @@ def _bytes(run: Callable[[int], object], rows: int, device: torch.device) -> int
         return peak - before
     with _Counted() as counted:
         run(rows)
-    return counted.bytes
+    total: int = counted.bytes
+    return total
 
 
 class _Counted(TorchDispatchMode):  # type: ignore[no-untyped-call]
