@@ -7,21 +7,13 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
-import torch
 
-from hvf.data.loader import EpisodePool, WindowSampler
-from hvf.images import frame_grid
-from hvf.models.frames import to_frames, to_unit
-from hvf.models.image_quality import psnr
+from hvf.data.loader import WindowSampler
 from hvf.models.sv2p.config import SMALL, SV2PConfig
 from hvf.models.sv2p.model import SV2P, SV2PSmall
-from hvf.models.video import VideoModel, sequence_noise
-from hvf.training.loop import LoopConfig, Validation, seeded
+from hvf.training.loop import LoopConfig, seeded
+from hvf.training.prediction import validate_prediction
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
-
-# Held-out clips that a validation measures, and how many of them its picture shows.
-_CLIPS = 64
-_SHOWN = 6
 
 _PAPER_LOOP = LoopConfig(
     steps=300_000,
@@ -128,58 +120,3 @@ class SV2PSmallRecipe(SV2PRecipe):
         validate_every=1_000,
         checkpoint_every=250,
     )
-
-
-def validate_prediction(model: VideoModel, held_out: EpisodePool, steps: int) -> Validation:
-    """How like the true ones predicted frames are, by steps ahead, on held-out clips.
-
-    Noise is drawn from the prior, as in planning.
-
-    Args:
-        model: in evaluation mode.
-        held_out: episodes.
-        steps: to predict, at least 1.
-
-    Returns:
-        PSNR (dB) 1 step ahead, halfway and at the end, as ``psnr_...``, and of the last frame seen,
-        copied, as ``still_...``; and a picture, in which a true clip and the predicted one lie one
-        below the other.
-
-    Raises:
-        ValueError: no episode that is long enough.
-    """
-    long = np.flatnonzero(held_out.lengths >= steps)
-    if not len(long):
-        raise ValueError(f"held-out episodes: none has {steps} steps")
-    rng = np.random.default_rng(0)
-    episodes = long[np.arange(_CLIPS) % len(long)]
-    first = rng.integers(held_out.lengths[episodes] - steps + 1)
-    times = first[:, None] + np.arange(steps + 1)
-    truth = held_out.frames[episodes[:, None], times]
-    actions = held_out.actions[episodes[:, None], times[:, :-1]]
-    drawn = _predicted(model, truth[:, 0], actions)
-    ahead = sorted({1, (steps + 1) // 2, steps})
-    metrics = {}
-    for h in ahead:
-        metrics[f"psnr_{h}"] = float(psnr(drawn[:, h - 1], truth[:, h]).mean())
-        metrics[f"still_{h}"] = float(psnr(truth[:, 0], truth[:, h]).mean())
-    rows = []
-    for clip, guess in zip(truth[:_SHOWN], drawn[:_SHOWN], strict=True):
-        rows += [clip, np.concatenate([clip[:1], guess])]
-    return Validation(metrics, {"predictions": frame_grid(rows, zoom=2)})
-
-
-def _predicted(
-    model: VideoModel, starts: np.ndarray[Any, Any], actions: np.ndarray[Any, Any]
-) -> np.ndarray[Any, Any]:
-    """Predicted frames uint8 ``[N, H, S, S, 3]``."""
-    device = next(model.parameters()).device
-    images = to_unit(torch.from_numpy(starts).to(device))
-    acted = torch.from_numpy(actions).to(device)
-    noise = sequence_noise(torch.arange(len(starts)), model.noise).to(device)
-    state = model.start(images[:, None], acted[:, :0])
-    drawn = []
-    for step in range(acted.shape[1]):
-        state = model.step(state, acted[:, step], noise, last=step + 1 == acted.shape[1])
-        drawn.append(to_frames(model.images(state).float()))
-    return torch.stack(drawn, dim=1).cpu().numpy()
