@@ -104,6 +104,8 @@ MODELS: Registry[ModelEntry] = Registry(
         "layers-generator": "hvf.models.catalogue:LAYERS_GENERATOR",
         "cvae": "hvf.models.catalogue:CVAE",
         "vae": "hvf.models.catalogue:VAE",
+        "sv2p": "hvf.models.catalogue:SV2P",
+        "sv2p-small": "hvf.models.catalogue:SV2P_SMALL",
     },
 )
 """Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""

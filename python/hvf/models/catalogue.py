@@ -94,3 +94,23 @@ VAE = ModelEntry(
     recipe="hvf.training.recipes.vae:VAERecipe",
     assumes="nothing of a scene but the size of its images; all data is of one scene",
 )
+
+SV2P = ModelEntry(
+    about="The paper's dynamics: SV2P, stochastic variational video prediction.",
+    kind="video",
+    role="dynamics",
+    module="hvf.models.sv2p.model:SV2P",
+    plannable="hvf.worlds.video:world_of",
+    recipe="hvf.training.recipes.sv2p:SV2PRecipe",
+    assumes="nothing of a scene but the size of its images, which 8 divides",
+)
+
+SV2P_SMALL = ModelEntry(
+    about="SV2P with a quarter of its widths, for two cores.",
+    kind="video",
+    role="dynamics",
+    module="hvf.models.sv2p.model:SV2PSmall",
+    plannable="hvf.worlds.video:world_of",
+    recipe="hvf.training.recipes.sv2p:SV2PSmallRecipe",
+    assumes="what sv2p assumes",
+)

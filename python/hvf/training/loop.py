@@ -83,6 +83,8 @@ class LoopConfig:
         warmup_steps: steps over which the learning rate rises linearly from 0.
         weight_decay: decoupled (AdamW) if positive.
         clip_norm: gradients are scaled down to this L2 norm; 0 for no limit.
+        betas: decay of Adam's running means of gradients and of their squares.
+        eps: Adam's, added to the root of the latter.
         seed: of the weights, the batches and the noise.
         device: ``auto`` takes CUDA where there is one.
         precision: ``auto`` is bfloat16 autocast on CUDA and float32 on the CPU.
@@ -99,6 +101,8 @@ class LoopConfig:
     warmup_steps: int = 0
     weight_decay: float = 0.0
     clip_norm: float = 0.0
+    betas: tuple[float, float] = (0.9, 0.999)
+    eps: float = 1e-8
     seed: int = 0
     device: Literal["auto", "cpu", "cuda"] = "auto"
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
@@ -117,6 +121,10 @@ class LoopConfig:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
         if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
             raise ValueError(f"learning_rate must be positive, got {self.learning_rate}")
+        if len(self.betas) != 2 or not all(0 <= beta < 1 for beta in self.betas):
+            raise ValueError(f"betas must be two numbers from 0 to below 1, got {self.betas}")
+        if not (math.isfinite(self.eps) and self.eps > 0):
+            raise ValueError(f"eps must be positive, got {self.eps}")
 
     def rate(self, step: int) -> float:
         """The learning rate at ``step``."""
@@ -143,6 +151,9 @@ class LoopConfig:
 # May differ between the run that wrote a checkpoint and the one that resumes it: they change what
 # is reported and when, not what is computed.
 _FREE_ON_RESUME = ("device", "threads", "log_every", "validate_every", "checkpoint_every")
+# Settings that came later go without saying where they are what had gone without saying: runs of
+# before are still the same runs.
+_UNSAID = {"betas": (0.9, 0.999), "eps": 1e-8}
 
 ModelT = TypeVar("ModelT", bound=torch.nn.Module)
 
@@ -205,6 +216,8 @@ def train(
     optimiser = torch.optim.AdamW(
         [weights for weights in model.parameters() if weights.requires_grad],
         lr=config.learning_rate,
+        betas=config.betas,
+        eps=config.eps,
         weight_decay=config.weight_decay,
         fused=True,
     )
@@ -337,7 +350,7 @@ def _identity(
     fixed = {
         name: value
         for name, value in dataclasses.asdict(config).items()
-        if name not in _FREE_ON_RESUME
+        if name not in _FREE_ON_RESUME and not (name in _UNSAID and value == _UNSAID[name])
     }
     identity = {
         "model": type(model).__name__,
