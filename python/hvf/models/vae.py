@@ -11,13 +11,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import ClassVar, cast
 
 import torch
 import torch.nn.functional as F
 from torch import nn
 
+from hvf.models.convolutions import (
+    decoder_of,
+    encoder_of,
+    fully_connected,
+    initialise_as_sonnet,
+)
 from hvf.models.frames import to_unit
 from hvf.models.vae_config import (
     BAIR_CVAE,
@@ -58,34 +63,22 @@ class CVAE(nn.Module):
     def __init__(self, config: CVAEConfig) -> None:
         super().__init__()
         self.config = config
-        sizes, widths = config.sizes, (3, *config.channels)
-        padding = 1 if config.padding == "same" else 0
+        sizes, padding = config.sizes, config.padding
         self._spatial = (config.channels[-1], *sizes[-1])
         features = math.prod(self._spatial)
 
-        encoder: list[nn.Module] = []
-        decoder: list[nn.Module] = []
-        for i, stride in enumerate(config.strides):
-            encoder += [nn.Conv2d(widths[i], widths[i + 1], 3, stride, padding=padding), nn.ReLU()]
-            # Pixels that the transposed convolution alone would not give back.
-            extra = (
-                sizes[i][0] - 3 + 2 * padding - (sizes[i + 1][0] - 1) * stride,
-                sizes[i][1] - 3 + 2 * padding - (sizes[i + 1][1] - 1) * stride,
-            )
-            up = nn.ConvTranspose2d(
-                widths[i + 1], widths[i], 3, stride, padding=padding, output_padding=extra
-            )
-            decoder = [nn.ReLU(), up, *decoder]
-        self.encoder = nn.Sequential(*(encoder if config.activate_final else encoder[:-1]))
-        self.decoder = nn.Sequential(*decoder[1:])  # it starts from features that are not rectified
+        self.encoder = encoder_of(
+            config.channels, config.strides, padding, activate_final=config.activate_final
+        )
+        self.decoder = decoder_of(config.channels, config.strides, padding, sizes)
         images = 2 if config.conditional else 1
-        self.posterior = _fully_connected(
+        self.posterior = fully_connected(
             images * features, *config.posterior_layers, 2 * config.latent_dim
         )
         scene = config.scene_layers[-1] if config.conditional else 0
         if config.conditional:
-            self.scene = _fully_connected(features, *config.scene_layers)
-        self.image = _fully_connected(config.latent_dim + scene, *config.image_layers, features)
+            self.scene = fully_connected(features, *config.scene_layers)
+        self.image = fully_connected(config.latent_dim + scene, *config.image_layers, features)
         if not config.activate_final and config.image_layers:
             del self.image[-2]
         if config.centred:
@@ -219,16 +212,7 @@ class CVAE(nn.Module):
         if self.config.initialisation == "he":
             self._initialise_he()
             return
-        # The default of the library that the released code was written with (Sonnet 1).
-        for module in self.modules():
-            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
-                inputs = float(module.weight[0].numel())
-                if isinstance(module, nn.ConvTranspose2d):
-                    inputs = module.weight.shape[0] * 9
-                std = 1 / math.sqrt(inputs)
-                nn.init.trunc_normal_(module.weight, std=std, a=-2 * std, b=2 * std)
-                if module.bias is not None:
-                    nn.init.zeros_(module.bias)
+        initialise_as_sonnet(self)
 
     def _initialise_he(self) -> None:
         """Keep the variance through rectified layers (He et al., 2015), and begin nearly noiseless.
@@ -317,11 +301,3 @@ def pyramid_loss(prediction: torch.Tensor, image: torch.Tensor, levels: int) -> 
         difference = F.avg_pool2d(difference, 2, ceil_mode=True, count_include_pad=False)
         total = total + difference.square().sum() * 8.0**level
     return total / len(image)
-
-
-def _fully_connected(*widths: int) -> nn.Sequential:
-    """Linear layers of these widths with ReLU between them."""
-    layers: list[nn.Module] = []
-    for inputs, outputs in pairwise(widths):
-        layers += [nn.Linear(inputs, outputs), nn.ReLU()]
-    return nn.Sequential(*layers[:-1])

@@ -36,6 +36,8 @@ import dataclasses
 import math
 from typing import Literal
 
+from hvf.models.convolutions import Padding, sizes_after
+
 
 @dataclasses.dataclass(frozen=True)
 class CVAEConfig:
@@ -85,7 +87,7 @@ class CVAEConfig:
     kl_weight: float = 5.0
     kl_start: float = 0.05
     kl_steps: int = 2_000
-    padding: Literal["same", "valid"] = "same"
+    padding: Padding = "same"
     posterior: Literal["log-variance", "relu-std"] = "log-variance"
     centred: bool = True
     activate_final: bool = True
@@ -141,13 +143,7 @@ class CVAEConfig:
     @property
     def sizes(self) -> list[tuple[int, int]]:
         """Height and width of the image, and after each convolution of the encoder."""
-        sizes = [self.image_size]
-        # A window of 3 pixels begins on every stride-th pixel, of all or of those where it fits.
-        lost = 0 if self.padding == "same" else 2
-        for stride in self.strides:
-            height, width = sizes[-1]
-            sizes.append((-(-(height - lost) // stride), -(-(width - lost) // stride)))
-        return sizes
+        return sizes_after(self.image_size, self.strides, self.padding)
 
     def kl_weight_at(self, step: int) -> float:
         """Weight of the KL divergence at a training step."""
