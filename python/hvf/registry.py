@@ -104,6 +104,7 @@ MODELS: Registry[ModelEntry] = Registry(
         "layers-generator": "hvf.models.catalogue:LAYERS_GENERATOR",
         "cvae": "hvf.models.catalogue:CVAE",
         "vae": "hvf.models.catalogue:VAE",
+        "tap": "hvf.models.catalogue:TAP",
     },
 )
 """Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""
@@ -114,6 +115,7 @@ METHODS: Registry[Method] = Registry(
     {
         "none": "hvf.agents.method:NONE",
         "hvf": "hvf.agents.method:HVF",
+        "tap": "hvf.agents.method:TAP",
         "ground-truth": "hvf.agents.method:GROUND_TRUTH",
         "random": "hvf.agents.method:RANDOM",
     },

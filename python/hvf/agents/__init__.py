@@ -3,7 +3,7 @@
 from hvf.agents.method import Means, Method
 from hvf.agents.planning import PlanningAgent
 from hvf.agents.random import RandomAgent
-from hvf.agents.subgoals import ground_truth, no_subgoals, searched
+from hvf.agents.subgoals import ground_truth, no_subgoals, proposed, searched
 
 __all__ = [
     "Means",
@@ -12,5 +12,6 @@ __all__ = [
     "RandomAgent",
     "ground_truth",
     "no_subgoals",
+    "proposed",
     "searched",
 ]

@@ -94,3 +94,13 @@ VAE = ModelEntry(
     recipe="hvf.training.recipes.vae:VAERecipe",
     assumes="nothing of a scene but the size of its images; all data is of one scene",
 )
+
+TAP = ModelEntry(
+    about="Time-agnostic prediction: proposes an image between a start and a goal, without search.",
+    kind="video",
+    role="proposer",
+    module="hvf.models.tap:TAP",
+    plannable="hvf.worlds.images:proposer_of",
+    recipe="hvf.training.recipes.tap:TAPRecipe",
+    assumes="nothing of a scene but the size of its images",
+)
