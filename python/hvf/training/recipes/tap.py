@@ -49,7 +49,7 @@ class TAPRecipe(Recipe):
         }
     }
 
-    batch_size: int = 32
+    batch_size: int = 16
     memory_gb: float = 2.0
     nearest: int = 12
     furthest: int = 19
