@@ -6,6 +6,9 @@ pass. Network and loss are those of the authors' released code (google-research,
 prediction has to be one, whichever it is nearest to; so it becomes the frame that is easiest to
 predict, such as the passage through a gap.
 
+Beside it there is one term of our own, off in the released configuration: a small thing that moves
+is a few pixels of the likelihood, and none of its gradient says which way it is to be moved.
+
 Letters in shapes: ``B`` pairs of images, ``C`` candidates, ``H x W`` pixels.
 """
 
@@ -27,11 +30,14 @@ from hvf.models.convolutions import (
     sizes_after,
 )
 from hvf.models.frames import to_unit
+from hvf.models.vae import pyramid_loss
 
 
 @dataclasses.dataclass(frozen=True)
 class TAPConfig:
-    """Sizes of the network; the defaults are the released code's, 1,389,387 parameters.
+    """Sizes of the network and its loss; the defaults are the released code's.
+
+    That network has 1,389,387 parameters.
 
     Attributes:
         image_size: height and width in pixels, at least 31 for four convolutions.
@@ -40,6 +46,9 @@ class TAPConfig:
         hidden: width of the layer that sees both.
         latent_dim: width of the linear layer between that and the decoder.
         least_probability: predicted probabilities are kept this far from 0 and 1.
+        pyramid_levels: the prediction is also compared with its nearest candidate after 1, 2, ...
+            average poolings by 2 (:func:`~hvf.models.vae.pyramid_loss`); 0 as released.
+        pyramid_weight: weight of each of these levels.
 
     Raises:
         ValueError: a number out of range, or images that are too small.
@@ -50,6 +59,8 @@ class TAPConfig:
     hidden: int = 512
     latent_dim: int = 8
     least_probability: float = 1e-3
+    pyramid_levels: int = 0
+    pyramid_weight: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("hidden", "latent_dim"):
@@ -60,6 +71,12 @@ class TAPConfig:
         if not 0 < self.least_probability < 0.5:
             raise ValueError(
                 f"least_probability must be between 0 and 0.5, got {self.least_probability}"
+            )
+        if not (math.isfinite(self.pyramid_weight) and self.pyramid_weight >= 0):
+            raise ValueError(f"pyramid_weight must not be negative, got {self.pyramid_weight}")
+        if self.pyramid_levels < 0 or 2**self.pyramid_levels > min(self.image_size):
+            raise ValueError(
+                f"pyramid_levels must be from 0 to log2 of the image, got {self.pyramid_levels}"
             )
         if len(self.image_size) != 2 or min(map(min, self.sizes)) < 1:
             raise ValueError(
@@ -122,6 +139,8 @@ class TAP(nn.Module):
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Negative log likelihood of the nearest candidate, nats summed over pixels and colours.
 
+        And, if the config asks for it, its pyramid loss.
+
         Args:
             batch: ``start`` and ``end``, uint8 ``[B, H, W, 3]``, and ``candidates``, uint8
                 ``[B, C, H, W, 3]``.
@@ -131,9 +150,14 @@ class TAP(nn.Module):
         prediction = self(to_unit(batch["start"]), to_unit(batch["end"]))
         each = self.negative_likelihoods(prediction, batch["candidates"])
         least, which = each.min(1)
-        chosen = batch["candidates"][torch.arange(len(which), device=which.device), which]
-        return least.mean(), {
-            "mse": (prediction.detach() - to_unit(chosen)).square().mean(),
+        chosen = to_unit(batch["candidates"][torch.arange(len(which), device=which.device), which])
+        loss = pixel = least.mean()
+        if self.config.pyramid_levels:
+            pyramid = pyramid_loss(prediction, chosen, self.config.pyramid_levels)
+            loss = loss + self.config.pyramid_weight * pyramid
+        return loss, {
+            "pixel": pixel.detach(),
+            "mse": (prediction.detach() - chosen).square().mean(),
             "candidate": which.float().mean(),
         }
 

@@ -25,11 +25,12 @@ _SHOWN = 12
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TAPRecipe(Recipe):
-    """Training of time-agnostic prediction, network and loss as in the released code.
+    """Training of time-agnostic prediction.
 
-    Preset ``paper`` is the released training, too: batches of 256, Adam at a constant 1e-3 for
-    100,000 steps. The default is what two cores can pay: smaller batches, fewer steps, and a rate
-    that ends at 0.
+    Preset ``paper`` is as in the released code: its loss, batches of 256, Adam at a constant 1e-3
+    for 100,000 steps. The default is what two cores can pay, with the same network: smaller
+    batches, fewer steps, a rate that ends at 0, and a pyramid loss beside the likelihood, without
+    which 11,000 such steps show the walls of the maze but nobody between them.
 
     Attributes:
         batch_size: samples per step.
@@ -45,6 +46,7 @@ class TAPRecipe(Recipe):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "batch_size": 256,
+            "model": TAPConfig(),
             "loop": LoopConfig(steps=100_000, learning_rate=1e-3, precision="float32"),
         }
     }
@@ -54,7 +56,7 @@ class TAPRecipe(Recipe):
     nearest: int = 12
     furthest: int = 19
     margin: int = 5
-    model: TAPConfig = TAPConfig()
+    model: TAPConfig = TAPConfig(pyramid_levels=4)
     loop: LoopConfig = LoopConfig(
         steps=16_000, learning_rate=1e-3, warmup_steps=200, schedule="cosine"
     )
