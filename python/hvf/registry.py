@@ -105,6 +105,7 @@ MODELS: Registry[ModelEntry] = Registry(
         "cvae": "hvf.models.catalogue:CVAE",
         "vae": "hvf.models.catalogue:VAE",
         "tap": "hvf.models.catalogue:TAP",
+        "tdm": "hvf.models.catalogue:TDM",
     },
 )
 """Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""
@@ -129,6 +130,7 @@ COSTS: Registry[Cost] = Registry(
         "pixel": "hvf.worlds.cost:PIXEL",
         "latent": "hvf.worlds.cost:LATENT",
         "temporal": "hvf.worlds.cost:TEMPORAL",
+        "tdm": "hvf.worlds.cost:TDM",
     },
 )
 """What a predicted frame costs."""

@@ -38,7 +38,7 @@ _LOOK = 0.2
 """Seconds between two looks at the processes."""
 _PATIENCE = 5.0
 """Seconds that a process has to stop before it is killed; its file is whole either way."""
-_SLOWER = {"latent": 100.0, "temporal": 10.0}
+_SLOWER = {"latent": 100.0, "temporal": 10.0, "tdm": 100.0}
 """How much slower than pixels a cost is, roughly; see :mod:`hvf.worlds.cost`."""
 
 

@@ -104,3 +104,13 @@ TAP = ModelEntry(
     recipe="hvf.training.recipes.tap:TAPRecipe",
     assumes="nothing of a scene but the size of its images",
 )
+
+TDM = ModelEntry(
+    about="The paper's temporal distance: tells images a few steps apart from others, as a cost.",
+    kind="video",
+    role="distance",
+    module="hvf.models.tdm:TDM",
+    plannable="hvf.worlds.distances:tdm_of",
+    recipe="hvf.training.recipes.tdm:TDMRecipe",
+    assumes="nothing of a scene but the size of its images",
+)

@@ -16,6 +16,9 @@ from torch import nn
 Padding: TypeAlias = Literal["same", "valid"]
 """``same`` halves an image at a stride of 2; ``valid`` sees only what is inside."""
 
+INPUT_SCALE = 4.0
+"""Differences to the mean image are about a quarter where there is something."""
+
 
 def sizes_after(
     image_size: tuple[int, int], strides: Sequence[int], padding: Padding
@@ -106,6 +109,18 @@ def initialise_as_sonnet(network: nn.Module) -> None:
                 inputs = module.weight.shape[0] * 9
             std = 1 / math.sqrt(inputs)
             nn.init.trunc_normal_(module.weight, std=std, a=-2 * std, b=2 * std)
+            if module.bias is not None:
+                nn.init.zeros_(module.bias)
+
+
+def initialise_after_he(network: nn.Module) -> None:
+    """First weights that keep the variance through rectified layers (He et al., 2015)."""
+    for module in network.modules():
+        if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
+            inputs = float(module.weight[0].numel())
+            if isinstance(module, nn.ConvTranspose2d):
+                inputs = module.weight.shape[0] * 9 / module.stride[0] ** 2
+            nn.init.normal_(module.weight, std=math.sqrt(2 / inputs))
             if module.bias is not None:
                 nn.init.zeros_(module.bias)
 

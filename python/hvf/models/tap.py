@@ -6,8 +6,10 @@ pass. Network and loss are those of the authors' released code (google-research,
 prediction has to be one, whichever it is nearest to; so it becomes the frame that is easiest to
 predict, such as the passage through a gap.
 
-Beside it there is one term of our own, off in the released configuration: a small thing that moves
-is a few pixels of the likelihood, and none of its gradient says which way it is to be moved.
+What the defaults of the recipe change is off in the released configuration, and the same as in our
+CVAE (:mod:`hvf.models.vae_config` has a table): first weights after He, images taken and drawn as
+differences to their mean, and a pyramid loss beside the likelihood. A small thing that moves is a
+few pixels of that, and none of its gradient says which way it is to be moved.
 
 Letters in shapes: ``B`` pairs of images, ``C`` candidates, ``H x W`` pixels.
 """
@@ -17,19 +19,21 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, Literal, cast
 
 import torch
 from torch import Tensor, nn
 
 from hvf.models.convolutions import (
+    INPUT_SCALE,
     decoder_of,
     encoder_of,
     fully_connected,
+    initialise_after_he,
     initialise_as_sonnet,
     sizes_after,
 )
-from hvf.models.frames import to_unit
+from hvf.models.frames import mean_image, to_unit
 from hvf.models.vae import pyramid_loss
 
 
@@ -46,6 +50,9 @@ class TAPConfig:
         hidden: width of the layer that sees both.
         latent_dim: width of the linear layer between that and the decoder.
         least_probability: predicted probabilities are kept this far from 0 and 1.
+        centred: images are taken, and drawn, as differences to the mean image.
+        initialisation: of the weights: for rectified layers (``he``), or a normal distribution cut
+            at two standard deviations of 1 / sqrt(fan in).
         pyramid_levels: the prediction is also compared with its nearest candidate after 1, 2, ...
             average poolings by 2 (:func:`~hvf.models.vae.pyramid_loss`); 0 as released.
         pyramid_weight: weight of each of these levels.
@@ -59,6 +66,8 @@ class TAPConfig:
     hidden: int = 512
     latent_dim: int = 8
     least_probability: float = 1e-3
+    centred: bool = False
+    initialisation: Literal["he", "truncated-normal"] = "truncated-normal"
     pyramid_levels: int = 0
     pyramid_weight: float = 1.0
 
@@ -71,6 +80,10 @@ class TAPConfig:
         if not 0 < self.least_probability < 0.5:
             raise ValueError(
                 f"least_probability must be between 0 and 0.5, got {self.least_probability}"
+            )
+        if self.initialisation not in ("he", "truncated-normal"):
+            raise ValueError(
+                f"initialisation must be he or truncated-normal, got {self.initialisation!r}"
             )
         if not (math.isfinite(self.pyramid_weight) and self.pyramid_weight >= 0):
             raise ValueError(f"pyramid_weight must not be negative, got {self.pyramid_weight}")
@@ -99,6 +112,7 @@ class TAP(nn.Module):
     """Predicts an image that lies between two others in time."""
 
     config_type: ClassVar[type[TAPConfig]] = TAPConfig
+    mean_image: Tensor
 
     def __init__(self, config: TAPConfig) -> None:
         super().__init__()
@@ -109,7 +123,26 @@ class TAP(nn.Module):
         self.bottleneck = fully_connected(2 * features, config.hidden, config.latent_dim)
         self.features = nn.Linear(config.latent_dim, features)
         self.decoder = decoder_of(config.channels, config.strides, "valid", config.sizes)
-        initialise_as_sonnet(self)
+        if config.centred:
+            self.register_buffer("mean_image", torch.full((3, *config.image_size), 0.5))
+        if config.initialisation == "he":
+            initialise_after_he(self)
+            with torch.no_grad():
+                cast(nn.ConvTranspose2d, self.decoder[-1]).weight *= 0.1
+        else:
+            initialise_as_sonnet(self)
+
+    def centre(self, frames: Tensor) -> TAP:
+        """Take the mean of ``frames``, uint8 ``[N, H, W, 3]``, as the image to start from.
+
+        Raises:
+            ValueError: another shape than the config's, or a config that is not centred.
+            TypeError: another dtype.
+        """
+        if not self.config.centred:
+            raise ValueError("centre: the config says that images are taken as they are")
+        self.mean_image.copy_(mean_image(frames, self.config.image_size))
+        return self
 
     def forward(self, start: Tensor, goal: Tensor) -> Tensor:
         """Images between ``start`` and ``goal``: float ``[B, 3, H, W]`` in [0, 1], all three.
@@ -127,10 +160,15 @@ class TAP(nn.Module):
             raise ValueError(
                 f"goal: must be {len(start)} images, as many as start; got {len(goal)}"
             )
-        seen = self.encoder(torch.cat([start, goal])).flatten(1)
+        both = torch.cat([start, goal])
+        if self.config.centred:
+            both = (both - self.mean_image) * INPUT_SCALE
+        seen = self.encoder(both).flatten(1)
         latent = self.bottleneck(torch.cat(seen.chunk(2), 1))
         grown = self.features(latent).unflatten(1, self._spatial)
         logits = self.decoder(grown.contiguous(memory_format=torch.channels_last)).float()
+        if self.config.centred:
+            logits = logits + torch.logit(self.mean_image, eps=1e-2)
         least = self.config.least_probability
         return torch.sigmoid(logits).clamp(least, 1 - least)
 

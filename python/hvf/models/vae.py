@@ -18,12 +18,14 @@ import torch.nn.functional as F
 from torch import nn
 
 from hvf.models.convolutions import (
+    INPUT_SCALE,
     decoder_of,
     encoder_of,
     fully_connected,
+    initialise_after_he,
     initialise_as_sonnet,
 )
-from hvf.models.frames import to_unit
+from hvf.models.frames import mean_image, to_unit
 from hvf.models.vae_config import (
     BAIR_CVAE,
     DESK_VAE,
@@ -44,8 +46,6 @@ __all__ = [
     "pyramid_loss",
 ]
 
-# Differences to the mean image are about a quarter where there is something.
-_INPUT_SCALE = 4.0
 # Added to the variance under the logarithm, which a rectified standard deviation may make 0.
 _LEAST_VARIANCE = 1e-5
 
@@ -98,17 +98,7 @@ class CVAE(nn.Module):
         """
         if not self.config.centred:
             raise ValueError("centre: the config says that images are taken as they are")
-        if frames.dtype != torch.uint8:
-            raise TypeError(f"frames must be uint8, got {frames.dtype}")
-        if frames.ndim != 4 or frames.shape[1:] != (*self.config.image_size, 3) or not len(frames):
-            raise ValueError(
-                f"frames must be [N, {self.config.image_size[0]}, {self.config.image_size[1]}, 3], "
-                f"got {tuple(frames.shape)}"
-            )
-        total = torch.zeros(frames.shape[1:], dtype=torch.float64)
-        for first in range(0, len(frames), 256):
-            total += frames[first : first + 256].sum(0, dtype=torch.float64)
-        self.mean_image.copy_((total / len(frames) / 255).permute(2, 0, 1))
+        self.mean_image.copy_(mean_image(frames, self.config.image_size))
         return self
 
     def encode(
@@ -220,14 +210,7 @@ class CVAE(nn.Module):
         With torch's default the signal fades over ten layers, and with a variance of 1 it drowns in
         the posterior's noise: the decoder learns to ignore the latent before it carries anything.
         """
-        for module in self.modules():
-            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
-                inputs = float(module.weight[0].numel())
-                if isinstance(module, nn.ConvTranspose2d):
-                    inputs = module.weight.shape[0] * 9 / module.stride[0] ** 2
-                nn.init.normal_(module.weight, std=math.sqrt(2 / inputs))
-                if module.bias is not None:
-                    nn.init.zeros_(module.bias)
+        initialise_after_he(self)
         posterior, last = cast(nn.Linear, self.posterior[-1]), self.decoder[-1]
         with torch.no_grad():
             posterior.weight[self.config.latent_dim :] *= 0.1
@@ -236,7 +219,7 @@ class CVAE(nn.Module):
 
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
         if self.config.centred:
-            images = (images - self.mean_image) * _INPUT_SCALE
+            images = (images - self.mean_image) * INPUT_SCALE
         features: torch.Tensor = self.encoder(images)
         return features
 
