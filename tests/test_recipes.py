@@ -318,6 +318,9 @@ def test_models_are_listed_without_torch() -> None:
         "layers-generator": "object",
         "cvae": "video",
         "vae": "video",
+        "tap": "video",
+        "tdm": "video",
+        "rig": "video",
     }
 
 

@@ -106,6 +106,7 @@ MODELS: Registry[ModelEntry] = Registry(
         "vae": "hvf.models.catalogue:VAE",
         "tap": "hvf.models.catalogue:TAP",
         "tdm": "hvf.models.catalogue:TDM",
+        "rig": "hvf.models.catalogue:RIG",
     },
 )
 """Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""
@@ -118,6 +119,7 @@ METHODS: Registry[Method] = Registry(
         "hvf": "hvf.agents.method:HVF",
         "tap": "hvf.agents.method:TAP",
         "ground-truth": "hvf.agents.method:GROUND_TRUTH",
+        "rig": "hvf.agents.method:RIG",
         "random": "hvf.agents.method:RANDOM",
     },
 )

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hvf.agents.planning import PlanningAgent
+from hvf.agents.policy import PolicyAgent
 from hvf.agents.random import RandomAgent
 from hvf.agents.subgoals import ground_truth, no_subgoals, proposed, searched
-from hvf.protocols import Agent, Proposer, SubgoalModel, SubgoalSource, WorldModel
+from hvf.protocols import Agent, Policy, Proposer, SubgoalModel, SubgoalSource, WorldModel
 from hvf.settings import Planning
 
 
@@ -103,6 +104,12 @@ def _proposal(means: Means) -> Agent:
     return means.planner(proposed(means.subgoals, means.model))
 
 
+def _policy(means: Means) -> Agent:
+    if not isinstance(means.model, Policy):
+        raise ValueError("method_model: a method without plans needs a model that acts")
+    return PolicyAgent(means.model)
+
+
 NONE = Method(
     "visual foresight: plans straight to the goal image (Finn & Levine, 2017)",
     "no subgoals",
@@ -127,6 +134,13 @@ GROUND_TRUTH = Method(
     "ground truth-{}",
     lambda means: means.planner(ground_truth(means.subgoals)),
     has_subgoals=True,
+)
+RIG = Method(
+    "acts by a policy that learned to reach imagined goals, without a plan (Nair et al., 2018)",
+    "RIG",
+    _policy,
+    needs_dynamics=False,
+    asks="rig",
 )
 RANDOM = Method(
     "acts at random: the floor",

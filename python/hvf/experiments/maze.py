@@ -34,6 +34,7 @@ _METHODS = (
     ("tap", 2),
     ("ground-truth", 1),
     ("ground-truth", 2),
+    ("rig", 0),
     ("random", 0),
 )
 """Methods of the paper's figure, and acting at random; those whose models ship become rows."""

@@ -114,3 +114,16 @@ TDM = ModelEntry(
     recipe="hvf.training.recipes.tdm:TDMRecipe",
     assumes="nothing of a scene but the size of its images",
 )
+
+RIG = ModelEntry(
+    about="A policy for goal images that learned by reaching for imagined ones, in a VAE's latent.",
+    kind="video",
+    role="policy",
+    module="hvf.models.rig:RIG",
+    plannable="hvf.worlds.policy:policy_of",
+    recipe="hvf.training.recipes.rig:RIGRecipe",
+    assumes=(
+        "nothing of a scene but the size of its images; that it may act in its domain while it "
+        "learns; goals are imagined for all scenes at once"
+    ),
+)

@@ -27,7 +27,8 @@ training                Adam, 1e-4, constant; batches of 256    Adam, 1e-3, warm
 In both, pairs are two frames of one episode at random times and features of the scene are added
 to the decoder's, as in the released code; the paper's text has the scene's first frame in the
 pairs, and concatenates the features. The code of the desk's VAE and of BAIR's CVAE was not
-released: ``PAPER_VAE`` takes over what is above.
+released: ``PAPER_VAE`` takes over what is above. ``RIG_VAE`` is that of another paper, whose policy
+is a baseline (:mod:`hvf.models.rig`).
 """
 
 from __future__ import annotations
@@ -187,3 +188,18 @@ PAPER_VAE = dataclasses.replace(
     scene_layers=(),
     image_layers=DESK_VAE.image_layers,
 )
+RIG_VAE = CVAEConfig(
+    conditional=False,
+    latent_dim=4,
+    posterior_layers=(),
+    scene_layers=(),
+    image_layers=(),
+    pyramid_levels=0,
+    pyramid_weight=0.0,
+    kl_weight=10 / 128,
+    kl_start=10 / 128,
+    kl_steps=0,
+    centred=False,
+)
+"""The VAE that RIG sees with: latent, loss and weight of the KL divergence as in rlkit's
+``examples/rig/pusher/rig.py``. The convolutions are ours: rlkit's are for images of 48 and 84."""
