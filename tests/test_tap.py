@@ -148,6 +148,7 @@ def test_the_loss_is_the_nearest_candidates_likelihood_written_out() -> None:
         ({"image_size": (64,)}, "image_size must be"),
         ({"channels": ()}, "channels must be positive"),
         ({"pyramid_levels": 7}, "pyramid_levels must be from 0"),
+        ({"initialisation": "zero"}, "initialisation must be he or truncated-normal"),
         ({"latent_dim": 0}, "latent_dim must be at least 1"),
         ({"least_probability": 0.0}, "least_probability must be between"),
     ],
@@ -155,6 +156,23 @@ def test_the_loss_is_the_nearest_candidates_likelihood_written_out() -> None:
 def test_a_config_that_cannot_be_is_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         TAPConfig(**settings)
+
+
+def test_a_centred_model_sees_and_draws_differences_to_the_mean_image() -> None:
+    model = seeded(0, lambda: TAP(dataclasses.replace(SMALL, centred=True))).eval()
+    seen = frames(9, 16, 20, seed=3)
+    model.centre(seen)
+    mean = seen.double().mean(0).permute(2, 0, 1) / 255
+    torch.testing.assert_close(model.mean_image.double(), mean, rtol=1e-6, atol=1e-6)
+    with torch.no_grad():
+        for weights in model.decoder.parameters():
+            weights.zero_()
+    still = model(mean[None].float(), mean[None].float())
+    torch.testing.assert_close(still[0].double(), mean.clamp(1e-2, 0.99), rtol=1e-4, atol=1e-5)
+    with pytest.raises(ValueError, match=r"frames must be \[N, 16, 20, 3\]"):
+        model.centre(frames(2, 16, 16))
+    with pytest.raises(ValueError, match="centre: the config says"):
+        TAP(SMALL).centre(seen)
 
 
 def test_images_of_another_size_are_refused_by_name() -> None:

@@ -26,6 +26,7 @@ from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.tdm import TDM, TDMConfig
 from hvf.models.vae import VAE
 from hvf.models.vae_config import DESK_VAE
+from hvf.protocols import Remembering
 from hvf.registry import COSTS, DOMAINS, MODELS
 from hvf.settings import Planning
 from hvf.training.loop import LoopConfig, seeded
@@ -233,6 +234,41 @@ def test_any_world_that_draws_can_be_planned_with(over_horizon: Any) -> None:
     mpc = hvf_core.VisualMPC(horizon=2, samples=8, elites=3, iterations=2)
     plan = mpc.plan(planned, starts.images[0], goals.images[0], seed=1)
     assert plan.actions.shape == (2, 1)
+
+
+def test_noise_and_memory_are_those_of_the_world_inside() -> None:
+    class Drift(Slide):
+        """Moves by chance, too; remembers."""
+
+        uses_seeds, context = True, 2
+
+        def predict(self, starts: Any, actions: Any, seeds: Any = None) -> Any:
+            chance = np.stack([np.random.default_rng(s).uniform(-9, 9, 1) for s in seeds])
+            return super().predict(starts, actions + chance[:, None])
+
+        def observe_history(self, images: Any, actions: Any) -> Any:
+            assert actions.shape == (len(images), 1, 1)
+            return Slide.Seen(images[:, -1])
+
+    model, world = small(), Drift()
+    planned = tdm_world(world, model, Planning())
+    assert isinstance(planned, Remembering)
+    assert not isinstance(tdm_world(Slide(), model, Planning()), Remembering)
+    images = frames(3, 2, *SIZE).numpy()
+    starts = planned.observe_history(images, np.zeros((3, 1, 1), np.float32))
+    goals = world.observe(frames(3, *SIZE, seed=1).numpy())
+    actions = np.random.default_rng(0).uniform(-9, 9, (3, 4, 2, 1)).astype(np.float32)
+    seeds = np.arange(12).reshape(3, 4)
+    found = planned.rollout_costs(starts, goals, actions, seeds=seeds)  # type: ignore[call-arg]
+    seen = world.predict(starts[np.full(4, 1)], actions[1], seeds[1])[:, -1]
+    with torch.no_grad():
+        aim = to_unit(torch.from_numpy(goals.images[[1] * 4]))
+        expected = model(to_unit(torch.from_numpy(seen)), aim)
+    np.testing.assert_allclose(found[1], expected, rtol=1e-5)
+    mpc = hvf_core.VisualMPC(horizon=2, samples=8, elites=3, iterations=2)
+    alone = mpc.plan(planned, starts.images[0], goals.images[0], seed=1)
+    both = mpc.plan_batch(planned, starts.images[:2], goals.images[:2], seeds=[1, 2])
+    np.testing.assert_array_equal(alone.actions, both.actions[0])
 
 
 def test_the_keypoint_world_draws_only_what_counts() -> None:

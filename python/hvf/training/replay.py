@@ -1,5 +1,9 @@
 """Paths of latents that a policy went, and goals put in their place in hindsight.
 
+Stable-Baselines3 has such a buffer, which mixes the goals that were reached for with those of one
+kind of hindsight, and none with imagined ones; its learner owns the loop, and keeps runs as
+pickles.
+
 Letters in shapes: ``E`` paths, ``T`` steps of a path, ``L`` latent dimensions, ``A`` action
 dimensions, ``B`` transitions of a batch.
 """

@@ -9,6 +9,7 @@ and encode frames by three.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,7 +22,7 @@ from hvf.models.frames import to_unit
 from hvf.models.tdm import TDM
 from hvf.models.temporal_distance import TemporalDistance
 from hvf.models.vae import CVAE
-from hvf.protocols import WorldModel
+from hvf.protocols import Remembering, WorldModel
 from hvf.settings import OverHorizon, Planning
 from hvf.worlds.keypoint import KeypointWorld
 from hvf.worlds.threads import one_thread
@@ -86,7 +87,7 @@ class ImageDistanceWorld(Around):
         world: has ``observe(images)``, frames with ``images``, and ``predict(frames[N],
             actions[N, H, A])`` that gives uint8 ``[N, H, S, S, 3]``; or, in its place,
             ``drawn(frames[N], actions[N, H, A], last)`` that gives float ``[N, H, 3, S, S]``, only
-            the last step's if ``last``.
+            the last step's if ``last``. If it ``uses_seeds``, the two take ``seeds [N]``, too.
         distance: of predicted images to the goal.
         over_horizon: whether the last predicted frame counts, their sum, or their minimum.
     """
@@ -105,16 +106,26 @@ class ImageDistanceWorld(Around):
         """Frames of uint8 `images [N, S, S, 3]`."""
         return self.world.observe(images)
 
+    @property
+    def uses_seeds(self) -> bool:
+        """Whether candidates have noise of their own: whether they do in the world inside."""
+        return bool(getattr(self.world, "uses_seeds", False))
+
     def rollout_costs(
-        self, starts: Any, goals: Any, actions: NDArray[np.float32]
+        self,
+        starts: Any,
+        goals: Any,
+        actions: NDArray[np.float32],
+        seeds: NDArray[np.int64] | None = None,
     ) -> NDArray[np.float32]:
-        """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
+        """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`, with `seeds [B, D]`."""
         count, candidates = actions.shape[:2]
         costs = np.empty((count, candidates), np.float32)
         for b in range(count):
             one = np.array([b])
             start, goal = (self._unit(frames[one].images) for frames in (starts, goals))
-            seen = self._predicted(starts[np.repeat(one, candidates)], actions[b])
+            noise = {} if seeds is None else {"seeds": seeds[b]}
+            seen = self._predicted(starts[np.repeat(one, candidates)], actions[b], noise)
             with one_thread():
                 parts = [
                     self.distance(to_unit(part) if part.dtype == torch.uint8 else part, goal, start)
@@ -125,18 +136,34 @@ class ImageDistanceWorld(Around):
             costs[b] = total.cpu().numpy()
         return costs
 
-    def _predicted(self, starts: Any, actions: NDArray[np.float32]) -> Tensor:
+    def _predicted(
+        self, starts: Any, actions: NDArray[np.float32], noise: Mapping[str, NDArray[np.int64]]
+    ) -> Tensor:
         """Images that count, ``[N, H or 1, ...]``: uint8 ``[H, W, 3]`` or float ``[3, H, W]``."""
         last = self.over_horizon == "last"
         if hasattr(self.world, "drawn"):
-            drawn: Tensor = self.world.drawn(starts, actions, last).clamp(0, 1)
+            drawn: Tensor = self.world.drawn(starts, actions, last, **noise).clamp(0, 1)
             return drawn.to(self.distance.device)
-        seen = self.world.predict(starts, actions)
+        seen = self.world.predict(starts, actions, **noise)
         seen = np.ascontiguousarray(seen[:, -1:] if last else seen)
         return torch.from_numpy(seen).to(self.distance.device)
 
     def _unit(self, images: NDArray[np.uint8]) -> Tensor:
         return to_unit(torch.from_numpy(np.ascontiguousarray(images)).to(self.distance.device))
+
+
+class RememberingDistanceWorld(ImageDistanceWorld):
+    """The same around a world with context (:class:`~hvf.protocols.Remembering`)."""
+
+    @property
+    def context(self) -> int:
+        """Frames that the world inside wants."""
+        context: int = self.world.context
+        return context
+
+    def observe_history(self, images: NDArray[np.uint8], actions: NDArray[np.float32]) -> Any:
+        """Frames to start from, `[N]`, as the world inside makes them."""
+        return self.world.observe_history(images, actions)
 
 
 class KeypointDistanceWorld(Around):
@@ -199,8 +226,7 @@ def latent_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
     """
     if not isinstance(model, CVAE):
         raise ValueError(f"cost: 'latent' needs a cvae or vae, got {type(model).__name__}")
-    _check_draws("latent", world)
-    return ImageDistanceWorld(world, LatentDistance(model), planning.over_horizon)
+    return _measured("latent", world, LatentDistance(model), planning)
 
 
 def tdm_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
@@ -211,8 +237,7 @@ def tdm_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
     """
     if not isinstance(model, TDM):
         raise ValueError(f"cost: 'tdm' needs a tdm model, got {type(model).__name__}")
-    _check_draws("tdm", world)
-    return ImageDistanceWorld(world, FarDistance(model), planning.over_horizon)
+    return _measured("tdm", world, FarDistance(model), planning)
 
 
 def tdm_of(model: TDM, world: Any) -> WorldModel[Any]:
@@ -241,13 +266,18 @@ def temporal_of(model: TemporalDistance, world: Any) -> WorldModel[Any]:
     return temporal_world(world, model, Planning())
 
 
-def _check_draws(cost: str, world: Any) -> None:
-    """Refuse a world that draws nothing.
+def _measured(
+    cost: str, world: Any, distance: ImageDistance, planning: Planning
+) -> WorldModel[Any]:
+    """A world with a distance between images as its cost.
 
     Raises:
-        ValueError: it is so.
+        ValueError: a world that draws nothing.
     """
     draws = hasattr(world, "predict") or hasattr(world, "drawn")
     if not draws or not hasattr(world, "observe"):
         kind = type(world).__name__
         raise ValueError(f"cost: {cost!r} needs dynamics that draw frames, got {kind}")
+    remembers = isinstance(world, Remembering)
+    made = RememberingDistanceWorld if remembers else ImageDistanceWorld
+    return made(world, distance, planning.over_horizon)
