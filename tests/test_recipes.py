@@ -320,6 +320,9 @@ def test_models_are_listed_without_torch() -> None:
         "vae": "video",
         "sv2p": "video",
         "sv2p-small": "video",
+        "tap": "video",
+        "tdm": "video",
+        "rig": "video",
     }
 
 

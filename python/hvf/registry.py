@@ -106,6 +106,9 @@ MODELS: Registry[ModelEntry] = Registry(
         "vae": "hvf.models.catalogue:VAE",
         "sv2p": "hvf.models.catalogue:SV2P",
         "sv2p-small": "hvf.models.catalogue:SV2P_SMALL",
+        "tap": "hvf.models.catalogue:TAP",
+        "tdm": "hvf.models.catalogue:TDM",
+        "rig": "hvf.models.catalogue:RIG",
     },
 )
 """Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""
@@ -116,7 +119,9 @@ METHODS: Registry[Method] = Registry(
     {
         "none": "hvf.agents.method:NONE",
         "hvf": "hvf.agents.method:HVF",
+        "tap": "hvf.agents.method:TAP",
         "ground-truth": "hvf.agents.method:GROUND_TRUTH",
+        "rig": "hvf.agents.method:RIG",
         "random": "hvf.agents.method:RANDOM",
     },
 )
@@ -129,6 +134,7 @@ COSTS: Registry[Cost] = Registry(
         "pixel": "hvf.worlds.cost:PIXEL",
         "latent": "hvf.worlds.cost:LATENT",
         "temporal": "hvf.worlds.cost:TEMPORAL",
+        "tdm": "hvf.worlds.cost:TDM",
     },
 )
 """What a predicted frame costs."""

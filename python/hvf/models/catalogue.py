@@ -114,3 +114,36 @@ SV2P_SMALL = ModelEntry(
     recipe="hvf.training.recipes.sv2p:SV2PSmallRecipe",
     assumes="what sv2p assumes",
 )
+
+TAP = ModelEntry(
+    about="Time-agnostic prediction: proposes an image between a start and a goal, without search.",
+    kind="video",
+    role="proposer",
+    module="hvf.models.tap:TAP",
+    plannable="hvf.worlds.images:proposer_of",
+    recipe="hvf.training.recipes.tap:TAPRecipe",
+    assumes="nothing of a scene but the size of its images",
+)
+
+TDM = ModelEntry(
+    about="The paper's temporal distance: tells images a few steps apart from others, as a cost.",
+    kind="video",
+    role="distance",
+    module="hvf.models.tdm:TDM",
+    plannable="hvf.worlds.distances:tdm_of",
+    recipe="hvf.training.recipes.tdm:TDMRecipe",
+    assumes="nothing of a scene but the size of its images",
+)
+
+RIG = ModelEntry(
+    about="A policy for goal images that learned by reaching for imagined ones, in a VAE's latent.",
+    kind="video",
+    role="policy",
+    module="hvf.models.rig:RIG",
+    plannable="hvf.worlds.policy:policy_of",
+    recipe="hvf.training.recipes.rig:RIGRecipe",
+    assumes=(
+        "nothing of a scene but the size of its images; that it may act in its domain while it "
+        "learns; goals are imagined for all scenes at once"
+    ),
+)

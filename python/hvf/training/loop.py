@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ from hvf.training.state import TrainingState, load_state, save_state
 
 __all__ = [
     "Batch",
+    "Interactive",
     "LoopConfig",
     "Sampler",
     "Trainable",
@@ -46,6 +47,27 @@ class Sampler(Protocol):
         """The batch of training step ``step``: CPU tensors, a function of ``step`` alone.
 
         Called from one background thread, one batch ahead.
+        """
+        ...
+
+
+@runtime_checkable
+class Interactive(Sampler, Protocol):
+    """A sampler whose batches depend on the model in training, such as one that acts by it.
+
+    :meth:`Sampler.batch` is called between steps, in order, and not ahead. What it goes on from is
+    kept with the run.
+    """
+
+    def memory(self) -> Mapping[str, torch.Tensor]:
+        """Return what the batches to come depend on beside the model: CPU tensors."""
+        ...
+
+    def recall(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Go on from what :meth:`memory` returned, in this run or another one.
+
+        Raises:
+            ValueError: tensors that are not this sampler's.
         """
         ...
 
@@ -221,7 +243,7 @@ def train(
         weight_decay=config.weight_decay,
         fused=True,
     )
-    state = TrainingState(model, optimiser)
+    state = TrainingState(model, optimiser, sampler if isinstance(sampler, Interactive) else None)
     first = load_state(out / "training.safetensors", state, identity)
     if first >= config.steps:
         console.print(f"{out}: already trained for {first} steps")
@@ -374,13 +396,15 @@ def _threads(count: int) -> Iterator[None]:
 
 
 class _Prefetch:
-    """Draws the next batch in a thread while the model works on this one."""
+    """Draws the next batch in a thread while the model works on this one, if it may."""
 
     def __init__(self, sampler: Sampler, first: int, steps: int) -> None:
         self._sampler = sampler
         self._steps = steps
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="batches")
-        self._next: Future[Batch] = self._pool.submit(sampler.batch, first)
+        self._next: Future[Batch] | None = None
+        if not isinstance(sampler, Interactive):
+            self._next = self._pool.submit(sampler.batch, first)
 
     def __enter__(self) -> _Prefetch:
         return self
@@ -389,6 +413,8 @@ class _Prefetch:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def take(self, step: int) -> Batch:
+        if self._next is None:
+            return self._sampler.batch(step)
         batch = self._next.result()
         if step + 1 < self._steps:
             self._next = self._pool.submit(self._sampler.batch, step + 1)
