@@ -110,7 +110,7 @@ class Rollouts:
         self.device = torch.device(device)
         self.cuda = self.device.type == "cuda"
         self.model = model.eval().requires_grad_(False).to(self.device)
-        self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.model.to(memory_format=torch.channels_last)
         self._memory_gb = memory_gb
         self._half = precision == "bfloat16" or (precision == "auto" and self.cuda)
         self._compiled = compile
@@ -186,7 +186,8 @@ class Rollouts:
 
     def _start(self, frames: VideoFrames, rows: Rows) -> State:
         seen = np.concatenate([frames.before[rows], frames.images[rows, None]], axis=1)
-        images = to_unit(self.tensor(seen).flatten(0, 1)).unflatten(0, seen.shape[:2])
+        images = to_unit(self.tensor(seen).flatten(0, 1))
+        images = images.reshape(*seen.shape[:2], *images.shape[1:])
         with self._autocast():
             return self.model.start(images, self.tensor(frames.past[rows]))
 
