@@ -186,8 +186,8 @@ class Rollouts:
 
     def _start(self, frames: VideoFrames, rows: Rows) -> State:
         seen = np.concatenate([frames.before[rows], frames.images[rows, None]], axis=1)
-        flat = to_unit(self.tensor(seen).flatten(0, 1))
-        images = flat.reshape(*seen.shape[:2], *flat.shape[1:])
+        images = to_unit(self.tensor(seen).flatten(0, 1))
+        images = images.reshape(*seen.shape[:2], *images.shape[1:])
         with self._autocast():
             return self.model.start(images, self.tensor(frames.past[rows]))
 

@@ -97,15 +97,17 @@ class MovedImages(nn.Module):
         """
         kernels = self.normalised(features).flatten(2)
         height, width = image.shape[2:]
-        per_pixel = kernels.transpose(1, 2) @ masks.flatten(2)
-        per_pixel = per_pixel.reshape(len(image), -1, height, width)
         side = self._shape[1]
         padded = F.pad(image, (side // 2,) * 4)
         total = torch.zeros_like(image)
-        for tap in range(side * side):
-            y, x = divmod(tap, side)
-            shifted = padded[:, :, y : y + height, x : x + width]
-            total = torch.addcmul(total, shifted, per_pixel[:, tap, None])
+        # Colours have 8 bits, as many as bfloat16 has.
+        with torch.autocast(image.device.type, enabled=False):
+            per_pixel = kernels.transpose(1, 2) @ masks.flatten(2)
+            per_pixel = per_pixel.reshape(len(image), -1, height, width)
+            for tap in range(side * side):
+                y, x = divmod(tap, side)
+                shifted = padded[:, :, y : y + height, x : x + width]
+                total = torch.addcmul(total, shifted, per_pixel[:, tap, None])
         return total
 
 

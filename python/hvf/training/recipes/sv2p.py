@@ -28,7 +28,7 @@ _PAPER_LOOP = LoopConfig(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SV2PRecipe(Recipe):
-    """Training of the paper's dynamics, as the authors ran it: a day or two on one GPU.
+    """Training of the paper's dynamics, as the authors ran it but for bfloat16 on a GPU.
 
     Preset ``paper`` is the same by name, whatever the defaults will be.
 
@@ -95,9 +95,10 @@ class SV2PRecipe(Recipe):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SV2PSmallRecipe(SV2PRecipe):
-    """Training of SV2P with a quarter of its widths, in two hours on two cores.
+    """Training of SV2P with a quarter of its widths.
 
-    Clips are of 6 frames: the 5 steps that a plan in the maze looks ahead.
+    Clips are of 6 frames, the 5 steps that a plan in the maze looks ahead, and the stages are
+    shortened with the number of steps.
 
     Attributes:
         batch_size: clips per step.
