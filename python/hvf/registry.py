@@ -104,6 +104,7 @@ MODELS: Registry[ModelEntry] = Registry(
         "layers-generator": "hvf.models.catalogue:LAYERS_GENERATOR",
         "cvae": "hvf.models.catalogue:CVAE",
         "vae": "hvf.models.catalogue:VAE",
+        "latent": "hvf.models.catalogue:LATENT",
     },
 )
 """Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""

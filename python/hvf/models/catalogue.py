@@ -94,3 +94,16 @@ VAE = ModelEntry(
     recipe="hvf.training.recipes.vae:VAERecipe",
     assumes="nothing of a scene but the size of its images; all data is of one scene",
 )
+
+LATENT = ModelEntry(
+    about="A general compact world model: states of a few dozen numbers, planned with in Rust.",
+    kind="video",
+    role="dynamics",
+    module="hvf.models.latent.model:LatentModel",
+    plannable="hvf.worlds.latent:world_of",
+    recipe="hvf.training.recipes.latent:LatentRecipe",
+    assumes=(
+        "nothing of a scene but the size of its images and actions; one frame tells all that "
+        "matters for the next ones; things smaller than its blur need not be told apart"
+    ),
+)
