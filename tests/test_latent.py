@@ -224,7 +224,7 @@ def test_rollouts_are_those_of_slow_code(model: LatentModel, over_horizon: str) 
     scale = model.basis.scale.double().numpy()
     for b in range(2):
         for d in range(4):
-            state, costs = starts.states[b].astype(np.float64), []
+            state, costs = starts.latents[b].astype(np.float64), []
             for action in actions[b, d]:
                 state = slow_step(model, state, action)
                 waves = np.sin(linear(model, "readout.input", state))
@@ -278,7 +278,7 @@ def test_same_seed_same_weights_and_a_checkpoint_is_the_model(
     assert found.module.config.image_size == (HEIGHT, WIDTH)
     images = some(4)
     before, after = (LatentWorld(each).observe(images) for each in (model, found.module))
-    np.testing.assert_array_equal(before.states, after.states)
+    np.testing.assert_array_equal(before.latents, after.latents)
 
 
 def test_a_step_of_a_model_is_as_long_as_actions_are_held(tmp_path: Path) -> None:
@@ -293,7 +293,7 @@ def test_a_step_of_a_model_is_as_long_as_actions_are_held(tmp_path: Path) -> Non
     held = actions.repeat(3, axis=2)
     costs = world.rollout_costs(frames, frames, held)
     with torch.inference_mode():
-        states = torch.from_numpy(frames.states)[:, None].expand(-1, 5, -1)
+        states = torch.from_numpy(frames.latents)[:, None].expand(-1, 5, -1)
         for h in range(2):
             states = model.moved(states, model.unit_actions(torch.from_numpy(actions[:, :, h])))
         seen = (model.read(states) * model.basis.scale).numpy() / model.config.cells**0.5

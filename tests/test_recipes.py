@@ -318,6 +318,7 @@ def test_models_are_listed_without_torch() -> None:
         "layers-generator": "object",
         "cvae": "video",
         "vae": "video",
+        "latent": "video",
     }
 
 

@@ -1,50 +1,33 @@
-"""The latent model as the planner wants it: states rolled out, and read out only to be compared."""
+"""The latent model as the planner wants it.
+
+Frames are seen in torch; states are rolled out, read out and compared in Rust
+(`hvf_core.LatentWorld`).
+"""
 
 from __future__ import annotations
 
-import dataclasses
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
+import hvf_core
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.latent.model import LatentModel
+from hvf.models.latent.network import Block, Residual
 from hvf.protocols import Images
 from hvf.settings import OverHorizon, Planning
 from hvf.worlds.threads import one_thread
-from hvf.worlds.world import checked_images
+from hvf.worlds.world import Around, checked_images
 
 _IMAGES_AT_ONCE = 256
 
-
-@dataclasses.dataclass(frozen=True)
-class LatentFrames:
-    """What the latent model sees in images.
-
-    Attributes:
-        images: uint8 ``[N, H, W, 3]``.
-        states: to start from, float32 ``[N, S]``.
-        targets: what read-outs are compared with, float32 ``[N, Z]``.
-        constants: squared distance of the images from what a read-out can be, float32 ``[N]``.
-    """
-
-    images: Images
-    states: NDArray[np.float32]
-    targets: NDArray[np.float32]
-    constants: NDArray[np.float32]
-
-    def __len__(self) -> int:
-        return len(self.images)
-
-    def __getitem__(self, index: NDArray[np.int64]) -> LatentFrames:
-        return LatentFrames(
-            self.images[index], self.states[index], self.targets[index], self.constants[index]
-        )
+Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
-class LatentWorld:
+class LatentWorld(Around):
     """The latent model as a world model (`hvf.protocols.WorldModel`).
 
     Its cost is the squared distance of blurred and reduced frames, per pixel of these.
@@ -59,6 +42,9 @@ class LatentWorld:
 
     Raises:
         ValueError: more blur than the model's, or an ``action_repeat`` that it cannot take.
+
+    Attributes:
+        native: the `hvf_core.LatentWorld` that the planner runs without the GIL.
     """
 
     def __init__(
@@ -68,9 +54,10 @@ class LatentWorld:
         over_horizon: OverHorizon = "last",
         action_repeat: int = 1,
     ) -> None:
-        if blur > model.config.blur:
+        config = model.config
+        if blur > config.blur:
             raise ValueError(
-                f"blur: this model sees through a blur of {model.config.blur} pixels and compares "
+                f"blur: this model sees through a blur of {config.blur} pixels and compares "
                 f"through no other, got {blur}"
             )
         if action_repeat % model.hold:
@@ -79,21 +66,30 @@ class LatentWorld:
                 f"model holds an action; got {action_repeat}"
             )
         self.model = model.eval()
-        self.over_horizon = over_horizon
         # Distances of scaled coefficients times this are those of frames, per pixel.
-        self._scale = model.basis.scale / model.config.cells**0.5
+        self._scale = model.basis.scale / config.cells**0.5
+        factor = self._scale.cpu().numpy()
+        matrix, bias = _layer(model.readout.output)
+        self.native = hvf_core.LatentWorld(
+            config.action_low,
+            config.action_high,
+            _network(model.network),
+            readout={
+                "input": _layer(model.readout.input),
+                "blocks": [],
+                "output": (factor[:, None] * matrix, factor * bias),
+                "activation": "sin",
+            },
+            over_horizon=over_horizon,
+            hold=model.hold,
+        )
 
     @property
-    def action_low(self) -> NDArray[np.float32]:
-        """Lowest action, float32 ``[A]``."""
-        return np.array(self.model.config.action_low, np.float32)
+    def inner(self) -> Any:
+        """The world in Rust."""
+        return self.native
 
-    @property
-    def action_high(self) -> NDArray[np.float32]:
-        """Highest action, float32 ``[A]``."""
-        return np.array(self.model.config.action_high, np.float32)
-
-    def observe(self, images: Images) -> LatentFrames:
+    def observe(self, images: Images) -> hvf_core.LatentFrames:
         """Frames of uint8 ``images [N, H, W, 3]``.
 
         Raises:
@@ -110,31 +106,18 @@ class LatentWorld:
                 outside = basis.outside(unit) / cells
                 found.append((self.model.encoder(seen), seen * self._scale, outside))
             columns = [torch.cat(column).cpu().numpy() for column in zip(*found, strict=True)]
-        return LatentFrames(images, *columns)
+        return hvf_core.LatentFrames(*columns, images)
 
     def rollout_costs(
-        self, starts: LatentFrames, goals: LatentFrames, actions: NDArray[np.float32]
+        self,
+        starts: hvf_core.LatentFrames,
+        goals: hvf_core.LatentFrames,
+        actions: NDArray[np.float32],
     ) -> NDArray[np.float32]:
         """Planning costs float32 ``[B, D]`` of ``actions [B, D, H, A]``."""
-        hold, device = self.model.hold, self.model.basis.mean.device
-        with one_thread():
-            units = self.model.unit_actions(torch.from_numpy(actions[:, :, ::hold]).to(device))
-            targets = torch.from_numpy(goals.targets).to(device)[:, None]
-            constants = torch.from_numpy(goals.constants).to(device)[:, None]
-            states = torch.from_numpy(starts.states).to(device)[:, None]
-            states = states.expand(-1, units.shape[1], -1)
-            costs = []
-            for h in range(units.shape[2]):
-                states = self.model.moved(states, units[:, :, h])
-                if self.over_horizon != "last" or h == units.shape[2] - 1:
-                    missed = self.model.read(states) * self._scale - targets
-                    costs.append(missed.square().sum(-1) + constants)
-            every = torch.stack(costs)
-            whole = every.amin(0) if self.over_horizon == "min" else every.sum(0)
-        found: NDArray[np.float32] = whole.cpu().numpy()
-        return found
+        return self.native.rollout_costs(starts, goals, actions)
 
-    def predict(self, starts: LatentFrames, actions: NDArray[np.float32]) -> Images:
+    def predict(self, starts: hvf_core.LatentFrames, actions: NDArray[np.float32]) -> Images:
         """Predicted frames uint8 ``[N, H, S, S, 3]`` for ``actions [N, H, A]``, to look at.
 
         A model with ``hold`` predicts every ``hold``-th frame; those in between are copies of the
@@ -161,3 +144,19 @@ def world_of(model: LatentModel, planning: Planning) -> LatentWorld:
         ValueError: more blur than the model's, or an ``action_repeat`` that it cannot take.
     """
     return LatentWorld(model, planning.blur, planning.over_horizon, planning.action_repeat)
+
+
+def _layer(layer: nn.Linear) -> Layer:
+    """Weights and bias of a linear layer."""
+    return layer.weight.detach().cpu().numpy(), layer.bias.detach().cpu().numpy()
+
+
+def _network(network: Residual) -> dict[str, Any]:
+    """Weights of a network with residual blocks, as the world in Rust takes them."""
+    blocks = [block for block in network.blocks if isinstance(block, Block)]
+    return {
+        "input": _layer(network.input),
+        "blocks": [(_layer(block.first), _layer(block.second)) for block in blocks],
+        "output": _layer(network.output),
+        "activation": "relu",
+    }
