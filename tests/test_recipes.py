@@ -323,6 +323,7 @@ def test_models_are_listed_without_torch() -> None:
         "tap": "video",
         "tdm": "video",
         "rig": "video",
+        "latent": "video",
     }
 
 

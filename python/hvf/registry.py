@@ -109,6 +109,7 @@ MODELS: Registry[ModelEntry] = Registry(
         "tap": "hvf.models.catalogue:TAP",
         "tdm": "hvf.models.catalogue:TDM",
         "rig": "hvf.models.catalogue:RIG",
+        "latent": "hvf.models.catalogue:LATENT",
     },
 )
 """Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""

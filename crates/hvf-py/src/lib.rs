@@ -4,6 +4,8 @@
 mod costs;
 mod error;
 mod keypoint;
+mod latent;
+mod latent_weights;
 mod layers;
 mod maze;
 mod maze_world;
@@ -17,6 +19,7 @@ fn hvf_core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     costs::register(module)?;
     keypoint::register(module)?;
+    latent::register(module)?;
     layers::register(module)?;
     maze::register(module)?;
     maze_world::register(module)?;

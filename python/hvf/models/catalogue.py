@@ -147,3 +147,16 @@ RIG = ModelEntry(
         "learns; goals are imagined for all scenes at once"
     ),
 )
+
+LATENT = ModelEntry(
+    about="A general compact world model: states of a few dozen numbers, planned with in Rust.",
+    kind="video",
+    role="dynamics",
+    module="hvf.models.latent.model:LatentModel",
+    plannable="hvf.worlds.latent:world_of",
+    recipe="hvf.training.recipes.latent:LatentRecipe",
+    assumes=(
+        "nothing of a scene but the size of its images and actions; one frame tells all that "
+        "matters for the next ones; things smaller than its blur need not be told apart"
+    ),
+)

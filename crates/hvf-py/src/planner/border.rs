@@ -1,6 +1,7 @@
 //! Where frames cross between Python and a world model, native or written in Python.
 
 use hvf_core_rs::keypoint::KeypointWorld;
+use hvf_core_rs::latent::{LatentFrames, LatentWorld};
 use hvf_core_rs::layers::LayerWorld;
 use hvf_core_rs::maze::{MazeFrames, MazeWorld};
 use hvf_core_rs::planner::{SubgoalModel, WorldModel};
@@ -16,6 +17,7 @@ use super::arguments::describe;
 use super::raised;
 use crate::error::to_py;
 use crate::keypoint::{PyKeypointFrames, PyKeypointWorld};
+use crate::latent::{PyLatentFrames, PyLatentWorld};
 use crate::layers::{PyLayerFrames, PyLayerWorld};
 use crate::maze_world::{PyMazeFrames, PyMazeWorld};
 
@@ -85,6 +87,21 @@ impl NativeClass for PyKeypointWorld {
     }
     fn wrap(inner: <KeypointWorld as WorldModel>::Frames) -> PyKeypointFrames {
         PyKeypointFrames { inner }
+    }
+}
+
+impl NativeClass for PyLatentWorld {
+    type World = LatentWorld;
+    type Frames = PyLatentFrames;
+
+    fn world(&self) -> &LatentWorld {
+        &self.inner
+    }
+    fn unwrap(frames: &PyLatentFrames) -> &LatentFrames {
+        &frames.inner
+    }
+    fn wrap(inner: LatentFrames) -> PyLatentFrames {
+        PyLatentFrames { inner }
     }
 }
 
@@ -182,6 +199,7 @@ impl<N: NativeClass> Border for Native<N> {
 pub fn is_native_frames(object: &Bound<'_, PyAny>) -> bool {
     object.is_instance_of::<PyMazeFrames>()
         || object.is_instance_of::<PyKeypointFrames>()
+        || object.is_instance_of::<PyLatentFrames>()
         || object.is_instance_of::<PyLayerFrames>()
 }
 
@@ -282,6 +300,9 @@ macro_rules! with_border {
         let model: &pyo3::Bound<'_, pyo3::PyAny> = $model;
         let native = $crate::planner::border::native_of(model)?;
         if let Ok(world) = native.cast::<$crate::keypoint::PyKeypointWorld>() {
+            let $border = $crate::planner::border::Native::new(world, model);
+            $body
+        } else if let Ok(world) = native.cast::<$crate::latent::PyLatentWorld>() {
             let $border = $crate::planner::border::Native::new(world, model);
             $body
         } else if let Ok(world) = native.cast::<$crate::layers::PyLayerWorld>() {

@@ -5,7 +5,7 @@
 //! [`hvf`] are the planners, which [`hashing`] makes keys of dictionaries, [`results`] what they
 //! return.
 
-mod arguments;
+pub(crate) mod arguments;
 mod border;
 mod hashing;
 mod hvf;
