@@ -105,8 +105,10 @@ class LatentWorld(Around):
                 seen = basis(unit)
                 outside = basis.outside(unit) / cells
                 found.append((self.model.encoder(seen), seen * self._scale, outside))
-            columns = [torch.cat(column).cpu().numpy() for column in zip(*found, strict=True)]
-        return hvf_core.LatentFrames(*columns, images)
+            latents, targets, constants = (
+                torch.cat(column).cpu().numpy() for column in zip(*found, strict=True)
+            )
+        return hvf_core.LatentFrames(latents, targets, constants, images)
 
     def rollout_costs(
         self,

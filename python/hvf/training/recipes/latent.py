@@ -47,19 +47,21 @@ class LatentRecipe(Recipe):
     name: ClassVar[str] = "latent"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "desk": {
-            "model": {"state": 64, "components": 192, "dynamics_width": 256, "readout_width": 384}
+            "model": {"state": 64, "components": 192, "dynamics_width": 192, "readout_width": 384},
+            "length": 4,
+            "loop": {"steps": 14_000},
         },
     }
 
     episodes: int = 100_000
-    batch_size: int = 512
+    batch_size: int = 256
     length: int = 3
     pairs: int = 16
     memory_gb: float = 1.0
     model: LatentConfig = LatentConfig()
     # Positions within a blurred frame are small differences: all of float32's digits.
     loop: LoopConfig = LoopConfig(
-        steps=60_000,
+        steps=50_000,
         learning_rate=2e-3,
         schedule="cosine",
         warmup_steps=200,
@@ -78,6 +80,7 @@ class LatentRecipe(Recipe):
         precision="float32",
         validate_every=500,
         checkpoint_every=250,
+        threads=1,
     )
 
     def __post_init__(self) -> None:
