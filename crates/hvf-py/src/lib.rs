@@ -1,6 +1,7 @@
 //! Python bindings of `hvf-core`: convert, check, release the GIL; nothing else.
 #![deny(missing_docs)]
 
+mod arguments;
 mod costs;
 mod error;
 mod keypoint;
@@ -10,6 +11,7 @@ mod layers;
 mod maze;
 mod maze_world;
 mod planner;
+mod threads;
 
 use pyo3::prelude::*;
 

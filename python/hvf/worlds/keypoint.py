@@ -30,9 +30,6 @@ class KeypointWorld(Around):
         blur: standard deviation in pixels of the Gaussian blur through which predicted frames and
             goals are compared; 0 for none.
         over_horizon: whether the last predicted frame counts, their sum, or their minimum.
-
-    Attributes:
-        native: the `hvf_core.KeypointWorld` that the planner runs without the GIL.
     """
 
     def __init__(
@@ -44,7 +41,7 @@ class KeypointWorld(Around):
             name: tensor.detach().cpu().numpy() for name, tensor in dynamics.state_dict().items()
         }
         limit = np.full(config.action_dim, config.action_scale, np.float32)
-        self.native = hvf_core.KeypointWorld(
+        self._native = hvf_core.KeypointWorld(
             patch=weights["cell.patch.weight"],
             patch_bias=weights["cell.patch.bias"],
             context=weights["cell.context.weight"],
@@ -65,6 +62,11 @@ class KeypointWorld(Around):
             blur=blur,
             over_horizon=over_horizon,
         )
+
+    @property
+    def native(self) -> hvf_core.KeypointWorld:
+        """What the planner runs without the GIL, and what the methods here speak for."""
+        return self._native
 
     @property
     def inner(self) -> Any:
