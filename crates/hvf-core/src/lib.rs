@@ -12,5 +12,6 @@ pub mod lanes;
 pub mod layers;
 pub mod maze;
 pub mod planner;
+mod rows;
 
 pub use error::{Error, Result};
