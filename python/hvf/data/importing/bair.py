@@ -8,6 +8,7 @@ TFRecords of one ``tf.train.Example`` an episode: 30 frames ``{i}/image_main/enc
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from hvf.data.importing.tfrecord import Record, find_record_files, records_of
 FRAMES = 30
 _SHAPE = (64, 64, 3)
 _ACTIONS, _STATES = 4, 3
+# Files say how many episodes they have. Cut off between two records, a file shows no other sign.
+_NAMED = re.compile(r"traj_(\d+)_to_(\d+)\.")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -75,6 +78,10 @@ class BairSource(Source):
         self.files = files
         self.cameras = cameras
         self._records: list[Record] = records_of(files)
+        for file in {record.file.path: record.file for record in self._records}.values():
+            named = _NAMED.search(file.path.name)
+            if named and len(file) != (count := int(named[2]) - int(named[1]) + 1):
+                raise ValueError(f"{file.path}: has {len(file)} of {count} records, is truncated")
         self.lengths = [FRAMES - 1] * len(self._records)
 
     def name_of(self, number: int) -> str:

@@ -142,7 +142,7 @@ class Import:
         console = console or Console()
         written = []
         for split, source in self._split().items():
-            out = self.out if split == "train" else test_file(self.out)
+            out = self.out if split == "train" else file_for_tests(self.out)
             written.append(self._write(source, split, out, console))
         return written
 
@@ -229,7 +229,7 @@ class Import:
         return episodes, {camera: made[f"frames of {camera}"] for camera in others}
 
 
-def test_file(out: Path) -> Path:
+def file_for_tests(out: Path) -> Path:
     """Where the episodes for tests go."""
     return out.with_name(f"{out.stem}-test{out.suffix}")
 

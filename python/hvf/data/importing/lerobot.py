@@ -124,7 +124,7 @@ class LeRobotSource(Source):
                 for camera, name in zip(self.cameras, self._images, strict=True)
             }
         except FileNotFoundError as error:
-            raise ValueError(f"{what}: {error.filename or error} is not there") from error
+            raise ValueError(f"{what}: {error}") from error
         except Exception as error:  # for damage, readers raise whatever they come upon
             raise ValueError(f"{what}: is damaged ({error})") from error
         if len(actions) != self.lengths[number] + 1:
@@ -166,7 +166,7 @@ class LeRobotSource(Source):
         """The rows of an episode, by column."""
         import pyarrow.parquet as pq
 
-        path = self._path / str(self._info["data_path"]).format(**self._place(episode, "data"))
+        path = _there(self._path / self._info["data_path"].format(**self._place(episode, "data")))
         schema = pq.read_schema(path).names
         wanted = [n for n in (self._action, self._state, *self._images) if n in schema]
         index = int(episode["episode_index"])
@@ -184,7 +184,7 @@ class LeRobotSource(Source):
         if name in table:
             return np.stack([decode_image(_encoded(self._path, cell)) for cell in table[name]])
         place = self._place(episode, f"videos/{name}")
-        path = self._path / str(self._info["video_path"]).format(video_key=name, **place)
+        path = _there(self._path / self._info["video_path"].format(video_key=name, **place))
         begin = float(episode.get(f"videos/{name}/from_timestamp", 0.0))
         return _video_part(path, begin, count, self._fps)
 
@@ -196,6 +196,12 @@ class LeRobotSource(Source):
             return {"episode_chunk": chunk, "episode_index": index}
         names = ("chunk_index", "file_index")
         return {name: int(episode[f"{what}/{name}"]) for name in names}
+
+
+def _there(path: Path) -> Path:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is not there")
+    return path
 
 
 def _names(feature: Mapping[str, Any]) -> tuple[str, ...]:
