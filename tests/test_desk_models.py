@@ -16,7 +16,7 @@ from hvf.data.formats.hdf5 import EpisodeFile, write_episodes
 
 torch = pytest.importorskip("torch")
 
-from hvf.evaluation.image_quality import perceptual_distance, psnr, ssim  # noqa: E402
+from hvf.models.image_quality import perceptual_distance, psnr, ssim  # noqa: E402
 from hvf.models.vae import CVAEConfig  # noqa: E402
 from hvf.training.loop import LoopConfig  # noqa: E402
 from hvf.training.recipe import train  # noqa: E402

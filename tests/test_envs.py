@@ -275,11 +275,18 @@ def test_make_vec_gives_the_native_environment_by_default() -> None:
     assert isinstance(envs.unwrapped, SyncVectorEnv)
 
 
-@pytest.mark.parametrize("reward", ["sparse", "dense"])
+@pytest.mark.parametrize(("reward", "goals"), [("sparse", False), ("dense", True)])
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_native_vector_environment_is_gymnasiums_own(mode: AutoresetMode, reward: str) -> None:
+def test_native_vector_environment_is_gymnasiums_own(
+    mode: AutoresetMode, reward: str, goals: bool
+) -> None:
     """Everything that comes out equals what Gymnasium makes of single environments."""
-    settings: dict[str, Any] = {"difficulty": "easy", "image_size": 16, "reward": reward}
+    settings: dict[str, Any] = {
+        "difficulty": "easy",
+        "image_size": 16,
+        "reward": reward,
+        "goal_observation": goals,
+    }
     count = 5
     native = gymnasium.make_vec(MAZE_ID, num_envs=count, autoreset_mode=mode, **settings)
     reference = SyncVectorEnv(
@@ -307,6 +314,14 @@ def test_native_vector_environment_is_gymnasiums_own(mode: AutoresetMode, reward
     assert terminations > 3
     assert truncations >= 1
     assert ended > 5
+
+
+def test_rewards_of_many_goals_are_those_of_a_step() -> None:
+    envs = MazeVectorEnv(6, difficulty="easy", image_size=16, goal_observation=True)
+    envs.reset(seed=0)
+    seen, rewards, *_, infos = envs.step(envs.action_space.sample())
+    again = envs.compute_reward(seen["achieved_goal"], seen["desired_goal"], infos)
+    np.testing.assert_array_equal(again, rewards)
 
 
 def test_a_finished_maze_needs_a_reset_when_autoreset_is_disabled() -> None:

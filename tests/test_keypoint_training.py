@@ -31,7 +31,11 @@ from hvf.training.loop import LoopConfig  # noqa: E402
 from hvf.training.recipe import train  # noqa: E402
 from hvf.training.recipes.temporal_distance import KeypointPairs  # noqa: E402
 from hvf.training.tracks.keypoints import Transitions, TransitionSampler  # noqa: E402
-from hvf.worlds.distances import DistanceWorld, LatentDistance, StepsDistance  # noqa: E402
+from hvf.worlds.distances import (  # noqa: E402
+    ImageDistanceWorld,
+    KeypointDistanceWorld,
+    LatentDistance,
+)
 from hvf.worlds.keypoint import KeypointWorld  # noqa: E402
 
 QUIET = Console(quiet=True)
@@ -251,7 +255,7 @@ def test_latent_distance_is_between_posterior_means_of_drawn_frames() -> None:
     torch.manual_seed(1)
     world = KeypointWorld(KeypointDynamics(DynamicsConfig()))
     cvae = CVAE(CVAEConfig()).eval()
-    distances = DistanceWorld(world, LatentDistance(cvae, world), "sum")
+    distances = ImageDistanceWorld(world, LatentDistance(cvae), "sum")
     images = hvf_core.maze_collect(5, 0, 4, 1)[0][:, 0]
     frames = world.observe(images)
     starts, goals = frames[np.array([0, 1])], frames[np.array([2, 3])]
@@ -279,7 +283,7 @@ def test_temporal_distance_is_the_expected_class() -> None:
     frames = world.observe(hvf_core.maze_collect(5, 0, 2, 1)[0][:, 0])
     start, goal = frames[np.array([0])], frames[np.array([1])]
     actions = np.random.default_rng(0).uniform(-3, 3, (1, 5, 3, 2)).astype(np.float32)
-    found = DistanceWorld(world, StepsDistance(model), "min").rollout_costs(start, goal, actions)
+    found = KeypointDistanceWorld(world, model, "min").rollout_costs(start, goal, actions)
     path = world.native.rollout(start, actions)
     with torch.inference_mode():
         code = model.code(torch.from_numpy(start.maps))

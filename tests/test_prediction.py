@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 import torch
@@ -305,6 +306,8 @@ def test_a_keypoint_model_is_probed_on_another_collection(write: Write, tmp_path
     assert figures["things"]["gaps"]["5"]["still"] == 0
     assert json.loads((tmp_path / "figures.json").read_text()) == figures
     assert (tmp_path / "predictions.png").stat().st_size > 1000
+    # Six windows, of each the truth and the prediction; the last frame seen and five steps.
+    assert iio.imread(tmp_path / "strips.png").shape == (12 * 66 + 2, 6 * 66 + 2, 3)
 
 
 def test_a_layers_model_is_probed_on_the_datas_own_last_episodes(tmp_path: Path) -> None:

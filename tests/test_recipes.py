@@ -318,6 +318,12 @@ def test_models_are_listed_without_torch() -> None:
         "layers-generator": "object",
         "cvae": "video",
         "vae": "video",
+        "sv2p": "video",
+        "sv2p-small": "video",
+        "tap": "video",
+        "tdm": "video",
+        "rig": "video",
+        "latent": "video",
     }
 
 

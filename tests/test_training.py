@@ -143,6 +143,33 @@ def test_the_loop_is_adam_on_the_batches_of_its_sampler(tmp_path: Path) -> None:
         torch.testing.assert_close(model.state_dict()[name], value, rtol=1e-4, atol=1e-6)
 
 
+def test_adam_has_its_betas_and_epsilon(tmp_path: Path) -> None:
+    loop = dataclasses.replace(
+        LOOP, steps=3, clip_norm=0.0, channels_last=False, schedule="constant", warmup_steps=0,
+        betas=(0.5, 0.6), eps=0.1,
+    )  # fmt: skip
+    model = run(tmp_path, loop=loop)
+    reference = seeded(0, lambda: Line(LineConfig()))
+    weights = [p for p in reference.parameters() if p.requires_grad]
+    optimiser = torch.optim.Adam(weights, lr=1e-2, betas=(0.5, 0.6), eps=0.1)
+    for step in range(3):
+        seed = int(np.random.SeedSequence([0, step]).generate_state(1, np.uint64)[0]) >> 1
+        optimiser.zero_grad()
+        loss, _ = reference.loss(Lines().batch(step), torch.Generator().manual_seed(seed), step)
+        loss.backward()
+        optimiser.step()
+    for name, value in reference.state_dict().items():
+        torch.testing.assert_close(model.state_dict()[name], value, rtol=1e-4, atol=1e-6)
+    with pytest.raises(ValueError, match="betas is"):
+        run(tmp_path, loop=dataclasses.replace(loop, betas=(0.5, 0.7)))
+
+
+def test_runs_from_before_betas_could_be_set_are_the_same_runs(tmp_path: Path) -> None:
+    run(tmp_path)
+    said = read_header(tmp_path / "model.safetensors").training["loop"]
+    assert not {"betas", "eps"} & said.keys()
+
+
 def test_a_run_that_died_and_was_resumed_equals_one_that_did_not(tmp_path: Path) -> None:
     def die_at_7(step: int) -> None:
         if step == 7:

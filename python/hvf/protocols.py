@@ -29,8 +29,10 @@ __all__ = [
     "Locating",
     "Measuring",
     "Observer",
+    "Policy",
     "Preparer",
     "Privileged",
+    "Proposer",
     "Remembering",
     "RolloutSharer",
     "SubgoalModel",
@@ -201,6 +203,33 @@ class SubgoalModel(Protocol[F_contra]):
             frames of another world that have ``images``; the world model observes the latter two.
             An array of three axes is ``M * K`` frames, never one image.
         """
+        ...
+
+
+@runtime_checkable
+class Proposer(Protocol):
+    """Proposes subgoals between two images, without a search."""
+
+    def propose(self, start: Images, goal: Images, count: int) -> Images:
+        """Return ``count`` subgoals in the order in which they are passed.
+
+        Args:
+            start: uint8 ``[H, W, 3]``.
+            goal: uint8 ``[H, W, 3]``.
+            count: how many, ``K``.
+
+        Returns:
+            uint8 ``[K, H, W, 3]``.
+        """
+        ...
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Acts towards a goal image without a plan."""
+
+    def act(self, observation: Images, goal: Images) -> NDArray[np.float32]:
+        """Return the action, float32 ``[A]``, for two images uint8 ``[H, W, 3]``."""
         ...
 
 

@@ -104,6 +104,12 @@ MODELS: Registry[ModelEntry] = Registry(
         "layers-generator": "hvf.models.catalogue:LAYERS_GENERATOR",
         "cvae": "hvf.models.catalogue:CVAE",
         "vae": "hvf.models.catalogue:VAE",
+        "sv2p": "hvf.models.catalogue:SV2P",
+        "sv2p-small": "hvf.models.catalogue:SV2P_SMALL",
+        "tap": "hvf.models.catalogue:TAP",
+        "tdm": "hvf.models.catalogue:TDM",
+        "rig": "hvf.models.catalogue:RIG",
+        "latent": "hvf.models.catalogue:LATENT",
     },
 )
 """Kinds of learned models: what ``hvf train NAME`` trains and checkpoints hold."""
@@ -114,7 +120,9 @@ METHODS: Registry[Method] = Registry(
     {
         "none": "hvf.agents.method:NONE",
         "hvf": "hvf.agents.method:HVF",
+        "tap": "hvf.agents.method:TAP",
         "ground-truth": "hvf.agents.method:GROUND_TRUTH",
+        "rig": "hvf.agents.method:RIG",
         "random": "hvf.agents.method:RANDOM",
     },
 )
@@ -127,6 +135,7 @@ COSTS: Registry[Cost] = Registry(
         "pixel": "hvf.worlds.cost:PIXEL",
         "latent": "hvf.worlds.cost:LATENT",
         "temporal": "hvf.worlds.cost:TEMPORAL",
+        "tdm": "hvf.worlds.cost:TDM",
     },
 )
 """What a predicted frame costs."""

@@ -208,12 +208,15 @@ class World:
         cost: what a predicted frame costs: "pixel", the distance to the goal image (the paper's),
             or another cost by name.
         cost_model: checkpoint of the model that the cost asks; none for the domain's own.
+        method_model: checkpoint of the model that the method asks, for methods that ask one of
+            their own, such as "tap"; none for the domain's own.
     """
 
     dynamics: str = "default"
     generator: str = "default"
     cost: str = "pixel"
     cost_model: str | None = None
+    method_model: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, SupportsIndex, TypeAlias, final
 
 import numpy as np
@@ -557,6 +557,167 @@ class KeypointWorld:
         """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
     def rollout(self, starts: KeypointFrames, actions: NDArray[np.float32]) -> NDArray[np.float32]:
         """Predicted keypoints float32 `[B, D, H, 2]`, in pixels, of `actions [B, D, H, A]`."""
+
+# --- latents of any model -------------------------------------------------------------------
+
+class LatentFrames:
+    """Frames of a `LatentWorld`: latents, and what is known of the frames besides. Immutable.
+
+    Frames are of no world: any with latents of this length takes them. As starts, only their
+    latents count; as goals, their targets (where there are none, what the world reads out of their
+    latents) and constants. Frames picked with `[]` share memory.
+
+    Args:
+        latents: float32 `[N, Z]`.
+        targets: what the read-out of a predicted latent is compared with where a frame is the goal,
+            float32 `[N, P]`; None for the read-out of the frame's own latent.
+        constants: what every predicted frame that counts costs more where a frame is the goal,
+            float32 `[N]`; None for nothing. A read-out of the main part of an image makes its whole
+            pixel cost so: the rest of the goal image, which no read-out can reach, is a constant.
+        images: what the frames look like, uint8 `[N, H, W, 3]`: kept for others.
+
+    Raises:
+        ValueError: another dtype or shape, not as many of one as of the other, or numbers that are
+            not finite.
+        TypeError: what is no array.
+    """
+
+    def __init__(
+        self,
+        latents: NDArray[np.float32],
+        targets: NDArray[np.float32] | None = None,
+        constants: NDArray[np.float32] | None = None,
+        images: NDArray[np.uint8] | None = None,
+    ) -> None: ...
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int | NDArray[np.int64]) -> LatentFrames:
+        """The frames at `index`: an integer (one frame, still a batch) or an integer array.
+
+        Raises:
+            IndexError: an index beyond the frames.
+            TypeError: another kind of index.
+        """
+    @property
+    def latents(self) -> NDArray[np.float32]:
+        """The latents, float32 `[N, Z]` (a copy)."""
+    @property
+    def targets(self) -> NDArray[np.float32] | None:
+        """What read-outs are compared with, float32 `[N, P]` (a copy), or None."""
+    @property
+    def constants(self) -> NDArray[np.float32]:
+        """What predicted frames cost more, float32 `[N]` (a copy)."""
+    @property
+    def images(self) -> NDArray[np.uint8]:
+        """The images, uint8 `[N, H, W, 3]` (a copy).
+
+        Raises:
+            AttributeError: no images were given.
+        """
+
+class LatentWorld:
+    """A world whose frames are latents, moved by a network that is given by its weights.
+
+    For models whose state is a vector, trained with torch or anything else: rollouts and costs run
+    in Rust on all cores, without torch and without the GIL. To plan from images, give the planner
+    an object with this world as its `native` and a method `observe(images) -> LatentFrames`.
+
+    *Dynamics.* An action `[A]` is scaled so that its box is from -1 to 1 (one beyond the box is
+    taken as it is): `u`. Then `z' = z + scale * network([z, u])`, or `z' = GRUCell(u, z)`.
+
+    *Networks* are dicts of weights as `torch.nn.Linear` stores them, `(weight [outputs, inputs],
+    bias [outputs])`, all float32::
+
+        {"input": (weight, bias),
+         "blocks": [((weight, bias), (weight, bias)), ...],   # may be left out
+         "output": (weight, bias),
+         "activation": "relu" or "sin"}                       # may be left out: "relu"
+
+    that is `h = activation(input(x))`, `h = relu(h + second(relu(first(h))))` for every block,
+    `output(h)`.
+
+    *Cost.* `sum(weights * (read(z) - target)**2) + constant` of every predicted latent that counts;
+    target and constant are the goal's (`LatentFrames`). Without a read-out, `read(z) = z`.
+
+    The same costs to the last bit alone and in a batch, with rollouts shared or not, on any number
+    of threads, on any machine; those of torch within float32's rounding. An action that is not a
+    number costs NaN.
+
+    Args:
+        action_low: lowest action, `[A]`.
+        action_high: highest action, `[A]`.
+        dynamics: a network's dict, from `Z + A` numbers (the latent first) to `Z`, with one more
+            entry, `"scale"`: a number or float32 `[Z]`, 1 if left out; or the weights of a
+            `torch.nn.GRUCell(A, Z)` under their names there (`weight_ih [3 Z, A]`,
+            `weight_hh [3 Z, Z]`, `bias_ih`, `bias_hh [3 Z]`): `cell.state_dict()`, as arrays.
+        readout: what is compared of a latent: None for the latent itself (`P = Z`), a network's
+            dict from `Z` numbers to `P`, or a float32 matrix `[P, Z]`. A matrix costs no more than
+            `Z` rows would, however many it has, but is compared with goals' latents only, not with
+            targets.
+        weights: of the numbers of the read-out, float32 `[P]`, none negative; None for 1.
+        over_horizon: `"last"`, `"sum"` or `"min"` over the predicted latents.
+        hold: steps of actions that one step of the dynamics is long. The first of each `hold`
+            actions is taken; the planners' `action_repeat` should be a multiple of it.
+
+    Raises:
+        ValueError: shapes that do not fit each other, another dtype, numbers out of range or not
+            finite, entries that are missing or unknown; the message names the argument.
+        TypeError: an argument of another type.
+    """
+
+    def __init__(
+        self,
+        action_low: Sequence[float] | NDArray[np.floating],
+        action_high: Sequence[float] | NDArray[np.floating],
+        dynamics: Mapping[str, Any],
+        *,
+        readout: NDArray[np.float32] | Mapping[str, Any] | None = None,
+        weights: NDArray[np.float32] | None = None,
+        over_horizon: Literal["last", "sum", "min"] = "last",
+        hold: SupportsIndex = 1,
+    ) -> None: ...
+    @property
+    def action_low(self) -> NDArray[np.float32]:
+        """Lowest action, float32 `[A]`."""
+    @property
+    def action_high(self) -> NDArray[np.float32]:
+        """Highest action, float32 `[A]`."""
+    @property
+    def latent_dim(self) -> int:
+        """Length of a latent, `Z`."""
+    @property
+    def over_horizon(self) -> str:
+        """Which predicted latents count."""
+    @property
+    def hold(self) -> int:
+        """Steps of actions that one step of the dynamics is long."""
+    @property
+    def max_candidates(self) -> int:
+        """The most candidates that the planners ask for in one call: fewer for dearer networks."""
+    def rollout_costs(
+        self, starts: LatentFrames, goals: LatentFrames, actions: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`.
+
+        Raises:
+            ValueError: frames or actions that do not fit the world or each other, or a horizon that
+                is no multiple of `hold`.
+        """
+    def shared_rollout_costs(
+        self, start: LatentFrames, goals: LatentFrames, actions: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Planning costs float32 `[B, D]` of `actions [D, H, A]` from one start for every goal.
+
+        Those of `rollout_costs`, to the last bit.
+
+        Raises:
+            ValueError: as `rollout_costs`.
+        """
+    def rollout(self, starts: LatentFrames, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Predicted latents float32 `[B, D, H / hold, Z]` of `actions [B, D, H, A]`.
+
+        Raises:
+            ValueError: as `rollout_costs`, or more than 2**28 numbers.
+        """
 
 # --- the desk's learned dynamics model ------------------------------------------------------
 

@@ -9,8 +9,10 @@ pub mod error;
 pub mod image;
 pub mod keypoint;
 pub mod lanes;
+pub mod latent;
 pub mod layers;
 pub mod maze;
+pub mod nn;
 pub mod planner;
 
 pub use error::{Error, Result};

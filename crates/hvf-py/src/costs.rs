@@ -3,11 +3,13 @@
 use hvf_core_rs::image::{all_pairs_costs, paired_costs, GaussianBlur, Pixel};
 use hvf_core_rs::{Error, Result};
 use ndarray::{ArrayD, ArrayView4};
-use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArray4, PyUntypedArray, PyUntypedArrayMethods};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArray4};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
+use crate::arguments::{array, axes_of, text, Given, Real, Text};
 use crate::error::to_py;
+use crate::threads::detached;
 
 /// A batch of frames, borrowed from NumPy.
 enum Batch<'py> {
@@ -16,28 +18,11 @@ enum Batch<'py> {
 }
 
 fn batch<'py>(argument: &str, object: &Bound<'py, PyAny>) -> PyResult<Batch<'py>> {
-    let Ok(array) = object.cast::<PyUntypedArray>() else {
-        return Err(PyTypeError::new_err(format!(
-            "{argument}: expected a NumPy array [N, H, W, C], got {}",
-            object.get_type().name()?
-        )));
-    };
-    if array.ndim() != 4 {
-        return Err(PyValueError::new_err(format!(
-            "{argument}: expected frames [N, H, W, C], got shape {:?}",
-            array.shape()
-        )));
+    const EXPECTED: &str = "uint8 or float32 [N, H, W, C]";
+    if axes_of::<u8>(object).is_some() {
+        return array(argument, object, EXPECTED).map(Batch::Bytes);
     }
-    if let Ok(bytes) = object.extract() {
-        return Ok(Batch::Bytes(bytes));
-    }
-    if let Ok(floats) = object.extract() {
-        return Ok(Batch::Floats(floats));
-    }
-    Err(PyTypeError::new_err(format!(
-        "{argument}: expected uint8 or float32, got {}",
-        array.dtype()
-    )))
+    array(argument, object, EXPECTED).map(Batch::Floats)
 }
 
 #[derive(Clone, Copy)]
@@ -71,15 +56,16 @@ fn costs<T: Pixel>(
 /// Raises ValueError for shapes that do not match, empty batches, memory that is not contiguous,
 /// float32 values outside `[0, 1]` or a negative blur; TypeError for other dtypes.
 #[pyfunction]
-#[pyo3(signature = (a, b, mode = "pairs", blur = 0.0))]
+#[pyo3(signature = (a, b, mode = text("pairs"), blur = Given::of(0.0)), text_signature = "(a, b, mode='pairs', blur=0.0)")]
 fn image_cost<'py>(
     py: Python<'py>,
     a: &Bound<'py, PyAny>,
     b: &Bound<'py, PyAny>,
-    mode: &str,
-    blur: f64,
+    mode: Text,
+    blur: Real,
 ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-    let mode = match mode {
+    let blur = blur.get("blur")?;
+    let mode = match &*mode.get("mode")? {
         "pairs" => Mode::Pairs,
         "all_pairs" => Mode::AllPairs,
         other => {
@@ -91,11 +77,11 @@ fn image_cost<'py>(
     let found = match (batch("a", a)?, batch("b", b)?) {
         (Batch::Bytes(a), Batch::Bytes(b)) => {
             let (a, b) = (a.as_array(), b.as_array());
-            py.detach(|| costs(a, b, mode, blur))
+            detached(py, || costs(a, b, mode, blur))?
         }
         (Batch::Floats(a), Batch::Floats(b)) => {
             let (a, b) = (a.as_array(), b.as_array());
-            py.detach(|| costs(a, b, mode, blur))
+            detached(py, || costs(a, b, mode, blur))?
         }
         _ => Err(Error::invalid("b", "must have the dtype of a")),
     };

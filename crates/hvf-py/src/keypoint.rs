@@ -3,13 +3,13 @@
 use hvf_core_rs::image::OverHorizon;
 use hvf_core_rs::keypoint::{Cell, CellWeights, KeypointFrames, KeypointWorld, Sprite};
 use hvf_core_rs::planner::{ActionSpace, Frames, WorldModel};
-use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyReadonlyArray1, PyReadonlyArray2,
-    PyReadonlyArray3, PyReadonlyArray4,
-};
+use ndarray::{Ix1, Ix2, Ix3, Ix4};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4};
 use pyo3::prelude::*;
 
+use crate::arguments::{array, indices, instance, numbers, point, text, Given, Real, Text, Whole};
 use crate::error::to_py;
+use crate::threads::detached;
 
 /// Frames of a `KeypointWorld`.
 #[pyclass(name = "KeypointFrames", module = "hvf_core", frozen)]
@@ -24,13 +24,10 @@ impl PyKeypointFrames {
         self.inner.len()
     }
 
-    fn __getitem__(&self, index: PyReadonlyArray1<'_, i64>) -> PyResult<Self> {
-        let count = self.inner.len() as i64;
-        let index: Vec<usize> = index
-            .as_array()
-            .iter()
-            .map(|&i| usize::try_from(if i < 0 { i + count } else { i }).unwrap_or(usize::MAX))
-            .collect();
+    /// The frames at `index`: an integer (one frame, still a batch), or a list or an array of
+    /// integers; negative ones count from the end. Raises IndexError beyond the batch.
+    fn __getitem__(&self, index: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let index = indices(index, self.inner.len())?;
         Ok(Self { inner: self.inner.select(&index).map_err(to_py)? })
     }
 
@@ -66,11 +63,9 @@ impl PyKeypointFrames {
     }
 
     /// Frames of the same scene with the moving part elsewhere.
-    fn moved(
-        &self,
-        images: PyReadonlyArray4<'_, u8>,
-        keypoints: PyReadonlyArray2<'_, f32>,
-    ) -> PyResult<Self> {
+    fn moved(&self, images: &Bound<'_, PyAny>, keypoints: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let images = array::<u8, Ix4>("images", images, "uint8 [N, S, S, 3]")?;
+        let keypoints = array::<f32, Ix2>("keypoints", keypoints, "float32 [N, 2]")?;
         let inner = self.inner.moved(images.as_array(), keypoints.as_array()).map_err(to_py)?;
         Ok(Self { inner })
     }
@@ -94,30 +89,52 @@ impl PyKeypointWorld {
     #[pyo3(signature = (
         *, patch, patch_bias, context, middle, middle_bias, output, output_bias, free,
         action_scale, spacing, substeps, half_size, edge, colour, action_low, action_high,
-        image_size, blur=0.0, over_horizon="last"
-    ))]
+        image_size, blur=Given::of(0.0), over_horizon=text("last")
+    ), text_signature = "(*, patch, patch_bias, context, middle, middle_bias, output, \
+                         output_bias, free, action_scale, spacing, substeps, half_size, edge, \
+                         colour, action_low, action_high, image_size, blur=0.0, \
+                         over_horizon='last')")]
     #[allow(clippy::too_many_arguments)]
     fn new(
-        patch: PyReadonlyArray2<'_, f32>,
-        patch_bias: PyReadonlyArray1<'_, f32>,
-        context: PyReadonlyArray2<'_, f32>,
-        middle: PyReadonlyArray2<'_, f32>,
-        middle_bias: PyReadonlyArray1<'_, f32>,
-        output: PyReadonlyArray2<'_, f32>,
-        output_bias: PyReadonlyArray1<'_, f32>,
-        free: PyReadonlyArray2<'_, f32>,
-        action_scale: f32,
-        spacing: usize,
-        substeps: usize,
-        half_size: [f32; 2],
-        edge: [f32; 2],
-        colour: [f32; 3],
-        action_low: Vec<f32>,
-        action_high: Vec<f32>,
-        image_size: usize,
-        blur: f64,
-        over_horizon: &str,
+        patch: &Bound<'_, PyAny>,
+        patch_bias: &Bound<'_, PyAny>,
+        context: &Bound<'_, PyAny>,
+        middle: &Bound<'_, PyAny>,
+        middle_bias: &Bound<'_, PyAny>,
+        output: &Bound<'_, PyAny>,
+        output_bias: &Bound<'_, PyAny>,
+        free: &Bound<'_, PyAny>,
+        action_scale: Real,
+        spacing: Whole,
+        substeps: Whole,
+        half_size: &Bound<'_, PyAny>,
+        edge: &Bound<'_, PyAny>,
+        colour: &Bound<'_, PyAny>,
+        action_low: &Bound<'_, PyAny>,
+        action_high: &Bound<'_, PyAny>,
+        image_size: Whole,
+        blur: Real,
+        over_horizon: Text,
     ) -> PyResult<Self> {
+        let matrix = |name, object| array::<f32, Ix2>(name, object, "float32 [outputs, inputs]");
+        let vector = |name, object| array::<f32, Ix1>(name, object, "float32 [outputs]");
+        let patch = matrix("patch", patch)?;
+        let patch_bias = vector("patch_bias", patch_bias)?;
+        let context = matrix("context", context)?;
+        let middle = matrix("middle", middle)?;
+        let middle_bias = vector("middle_bias", middle_bias)?;
+        let output = matrix("output", output)?;
+        let output_bias = vector("output_bias", output_bias)?;
+        let free = matrix("free", free)?;
+        let action_scale = action_scale.single("action_scale")?;
+        let (spacing, substeps) = (spacing.count("spacing")?, substeps.count("substeps")?);
+        let half_size = point("half_size", half_size)?;
+        let (edge, colour) = (point("edge", edge)?, point("colour", colour)?);
+        let corner = |name, object| numbers::<f32, Ix1>(name, object, "a float array [A]");
+        let action_low = corner("action_low", action_low)?.to_vec();
+        let action_high = corner("action_high", action_high)?.to_vec();
+        let (image_size, blur) = (image_size.count("image_size")?, blur.get("blur")?);
+        let over_horizon = over_horizon.get("over_horizon")?;
         let build = || {
             let actions = ActionSpace::new(action_low, action_high)?;
             let weights = CellWeights {
@@ -135,7 +152,7 @@ impl PyKeypointWorld {
             };
             let cell = Cell::new(weights)?;
             let sprite = Sprite { half_size, edge, colour };
-            let over_horizon = OverHorizon::from_name(over_horizon)?;
+            let over_horizon = OverHorizon::from_name(&over_horizon)?;
             KeypointWorld::new(cell, sprite, actions, image_size, blur, over_horizon)
         };
         Ok(Self { inner: build().map_err(to_py)? })
@@ -156,10 +173,13 @@ impl PyKeypointWorld {
     /// Frames of this world from images, keypoints and scene maps.
     fn frames(
         &self,
-        images: PyReadonlyArray4<'_, u8>,
-        keypoints: PyReadonlyArray2<'_, f32>,
-        maps: PyReadonlyArray3<'_, f32>,
+        images: &Bound<'_, PyAny>,
+        keypoints: &Bound<'_, PyAny>,
+        maps: &Bound<'_, PyAny>,
     ) -> PyResult<PyKeypointFrames> {
+        let images = array::<u8, Ix4>("images", images, "uint8 [N, S, S, 3]")?;
+        let keypoints = array::<f32, Ix2>("keypoints", keypoints, "float32 [N, 2]")?;
+        let maps = array::<f32, Ix3>("maps", maps, "float32 [N, S, S]")?;
         let inner = self
             .inner
             .frames(images.as_array(), keypoints.as_array(), maps.as_array())
@@ -171,13 +191,15 @@ impl PyKeypointWorld {
     fn rollout_costs<'py>(
         &self,
         py: Python<'py>,
-        starts: &PyKeypointFrames,
-        goals: &PyKeypointFrames,
-        actions: PyReadonlyArray4<'py, f32>,
+        starts: &Bound<'py, PyAny>,
+        goals: &Bound<'py, PyAny>,
+        actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let starts = frames("starts", starts)?;
+        let goals = frames("goals", goals)?;
+        let actions = array::<f32, Ix4>("actions", actions, "float32 [B, D, H, A]")?;
         let actions = actions.as_array().to_owned();
-        let costs = py
-            .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions.into()))
+        let costs = detached(py, || self.inner.rollout_costs(starts, goals, actions.into()))?
             .map_err(to_py)?;
         Ok(costs.into_pyarray(py))
     }
@@ -186,14 +208,19 @@ impl PyKeypointWorld {
     fn rollout<'py>(
         &self,
         py: Python<'py>,
-        starts: &PyKeypointFrames,
-        actions: PyReadonlyArray4<'py, f32>,
+        starts: &Bound<'py, PyAny>,
+        actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray4<f32>>> {
-        let actions = actions.as_array().to_owned();
-        let paths =
-            py.detach(|| self.inner.rollout(&starts.inner, actions.view())).map_err(to_py)?;
+        let starts = frames("starts", starts)?;
+        let actions = array::<f32, Ix4>("actions", actions, "float32 [B, D, H, A]")?;
+        let actions = actions.as_array();
+        let paths = detached(py, || self.inner.rollout(starts, actions))?.map_err(to_py)?;
         Ok(paths.into_pyarray(py))
     }
+}
+
+fn frames<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a KeypointFrames> {
+    Ok(&instance::<PyKeypointFrames>(argument, object)?.get().inner)
 }
 
 /// Adds this file's classes to the module.

@@ -6,16 +6,38 @@ use hvf_core_rs::layers::{
     Sprites,
 };
 use hvf_core_rs::planner::{Frames, WorldModel};
+use ndarray::{Ix2, Ix3, Ix4};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray4, PyArray5, PyReadonlyArray1, PyReadonlyArray2,
-    PyReadonlyArray3, PyReadonlyArray4, PyReadonlyArray5,
+    PyReadonlyArray4, PyReadonlyArray5,
 };
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
+use crate::arguments::{
+    array, booleans, indices, instance, items, places, point, text, unfit, Given, Real, Text,
+};
 use crate::error::to_py;
+use crate::threads::detached;
 
 /// Weights and bias of a layer.
 type Layer<'py> = (PyReadonlyArray2<'py, f32>, PyReadonlyArray1<'py, f32>);
+
+/// Most layers of a network, and most networks of one kind.
+const MOST_LAYERS: usize = 1 << 10;
+
+fn layers<'py>(argument: &str, object: &Bound<'py, PyAny>) -> PyResult<Vec<Layer<'py>>> {
+    const EXPECTED: &str = "layers (weights, bias)";
+    let pairs = items(argument, object, EXPECTED, MOST_LAYERS)?;
+    let layer = |pair: Bound<'py, PyAny>| match items(argument, &pair, EXPECTED, 2)?.as_slice() {
+        [weights, bias] => Ok((
+            array(argument, weights, "weights float32 [outputs, inputs]")?,
+            array(argument, bias, "bias float32 [outputs]")?,
+        )),
+        _ => Err(PyValueError::new_err(unfit(argument, EXPECTED, &pair))),
+    };
+    pairs.into_iter().map(layer).collect()
+}
 
 fn network<'a>(layers: &'a [Layer<'_>]) -> Vec<Linear<'a>> {
     layers.iter().map(|(weights, bias)| (weights.as_array(), bias.as_array())).collect()
@@ -34,13 +56,10 @@ impl PyLayerFrames {
         self.inner.len()
     }
 
-    fn __getitem__(&self, index: PyReadonlyArray1<'_, i64>) -> PyResult<Self> {
-        let count = self.inner.len() as i64;
-        let index: Vec<usize> = index
-            .as_array()
-            .iter()
-            .map(|&i| usize::try_from(if i < 0 { i + count } else { i }).unwrap_or(usize::MAX))
-            .collect();
+    /// The frames at `index`: an integer (one frame, still a batch), or a list or an array of
+    /// integers; negative ones count from the end. Raises IndexError beyond the batch.
+    fn __getitem__(&self, index: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let index = indices(index, self.inner.len())?;
         Ok(Self { inner: self.inner.select(&index).map_err(to_py)? })
     }
 
@@ -82,25 +101,43 @@ impl PyLayerWorld {
     #[new]
     #[pyo3(signature = (
         *, hand, sliders, parts, contact, reach, arm_low, arm_step, arm_places, arm_patches,
-        arm_index, table, sprites, blur=0.0, over_horizon="last"
-    ))]
+        arm_index, table, sprites, blur=Given::of(0.0), over_horizon=text("last")
+    ), text_signature = "(*, hand, sliders, parts, contact, reach, arm_low, arm_step, arm_places, \
+                         arm_patches, arm_index, table, sprites, blur=0.0, over_horizon='last')")]
     #[allow(clippy::too_many_arguments)]
     fn new(
-        hand: Vec<Layer<'_>>,
-        sliders: Vec<Vec<Layer<'_>>>,
-        parts: Vec<Layer<'_>>,
-        contact: PyReadonlyArray2<'_, f32>,
-        reach: f32,
-        arm_low: [f32; 3],
-        arm_step: [f32; 3],
-        arm_places: [usize; 3],
-        arm_patches: PyReadonlyArray4<'_, u8>,
-        arm_index: PyReadonlyArray2<'_, i32>,
-        table: PyReadonlyArray5<'_, u8>,
-        sprites: PyReadonlyArray4<'_, f32>,
-        blur: f64,
-        over_horizon: &str,
+        hand: &Bound<'_, PyAny>,
+        sliders: &Bound<'_, PyAny>,
+        parts: &Bound<'_, PyAny>,
+        contact: &Bound<'_, PyAny>,
+        reach: Real,
+        arm_low: &Bound<'_, PyAny>,
+        arm_step: &Bound<'_, PyAny>,
+        arm_places: &Bound<'_, PyAny>,
+        arm_patches: &Bound<'_, PyAny>,
+        arm_index: &Bound<'_, PyAny>,
+        table: &Bound<'_, PyAny>,
+        sprites: &Bound<'_, PyAny>,
+        blur: Real,
+        over_horizon: Text,
     ) -> PyResult<Self> {
+        let hand = layers("hand", hand)?;
+        let sliders = items("sliders", sliders, "networks of layers", MOST_LAYERS)?;
+        let sliders: Vec<Vec<Layer<'_>>> =
+            sliders.iter().map(|network| layers("sliders", network)).collect::<PyResult<_>>()?;
+        let parts = layers("parts", parts)?;
+        let contact: PyReadonlyArray2<'_, f32> = array("contact", contact, "float32 [terms, 2]")?;
+        let reach = reach.single("reach")?;
+        let (arm_low, arm_step) = (point("arm_low", arm_low)?, point("arm_step", arm_step)?);
+        let arm_places = places("arm_places", arm_places)?;
+        let arm_patches: PyReadonlyArray4<'_, u8> =
+            array("arm_patches", arm_patches, "uint8 [M, 4, T, T]")?;
+        let arm_index: PyReadonlyArray2<'_, i32> =
+            array("arm_index", arm_index, "int32 [places, tiles]")?;
+        let table: PyReadonlyArray5<'_, u8> = array("table", table, "uint8 [bins, bins, 3, S, S]")?;
+        let sprites: PyReadonlyArray4<'_, f32> = array("sprites", sprites, "float32 [R, 4, W, W]")?;
+        let blur = blur.get("blur")?;
+        let over_horizon = over_horizon.get("over_horizon")?;
         let build = || {
             let sprites = Sprites::new(sprites.as_array())?;
             let cell = Cell::new(&CellWeights {
@@ -121,7 +158,7 @@ impl PyLayerWorld {
             let gallery = Gallery::new(&images, Backdrop::image_size(table.as_array())?)?;
             let backdrop = Backdrop::new(table.as_array(), gallery.tiles())?;
             let painter = Painter::new(backdrop, sprites, gallery)?;
-            LayerWorld::new(cell, painter, blur, OverHorizon::from_name(over_horizon)?)
+            LayerWorld::new(cell, painter, blur, OverHorizon::from_name(&over_horizon)?)
         };
         Ok(Self { inner: build().map_err(to_py)? })
     }
@@ -141,14 +178,18 @@ impl PyLayerWorld {
     /// Frames of this world.
     fn frames(
         &self,
-        images: PyReadonlyArray4<'_, u8>,
-        clean: PyReadonlyArray4<'_, f32>,
-        regions: PyReadonlyArray4<'_, bool>,
-        states: PyReadonlyArray2<'_, f32>,
+        images: &Bound<'_, PyAny>,
+        clean: &Bound<'_, PyAny>,
+        regions: &Bound<'_, PyAny>,
+        states: &Bound<'_, PyAny>,
     ) -> PyResult<PyLayerFrames> {
+        let images = array::<u8, Ix4>("images", images, "uint8 [N, S, S, 3]")?;
+        let clean = array::<f32, Ix4>("clean", clean, "float32 [N, S, S, 3]")?;
+        let regions = booleans::<Ix4>("regions", regions, "bool [N, R, S, S]")?;
+        let states = array::<f32, Ix2>("states", states, "float32 [N, X]")?;
         let inner = self
             .inner
-            .frames(images.as_array(), clean.as_array(), regions.as_array(), states.as_array())
+            .frames(images.as_array(), clean.as_array(), regions.view(), states.as_array())
             .map_err(to_py)?;
         Ok(PyLayerFrames { inner })
     }
@@ -157,13 +198,15 @@ impl PyLayerWorld {
     fn rollout_costs<'py>(
         &self,
         py: Python<'py>,
-        starts: &PyLayerFrames,
-        goals: &PyLayerFrames,
-        actions: PyReadonlyArray4<'py, f32>,
+        starts: &Bound<'py, PyAny>,
+        goals: &Bound<'py, PyAny>,
+        actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let starts = frames("starts", starts)?;
+        let goals = frames("goals", goals)?;
+        let actions = array::<f32, Ix4>("actions", actions, "float32 [B, D, H, A]")?;
         let actions = actions.as_array().to_owned();
-        let costs = py
-            .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions.into()))
+        let costs = detached(py, || self.inner.rollout_costs(starts, goals, actions.into()))?
             .map_err(to_py)?;
         Ok(costs.into_pyarray(py))
     }
@@ -172,14 +215,16 @@ impl PyLayerWorld {
     fn shared_rollout_costs<'py>(
         &self,
         py: Python<'py>,
-        start: &PyLayerFrames,
-        goals: &PyLayerFrames,
-        actions: PyReadonlyArray3<'py, f32>,
+        start: &Bound<'py, PyAny>,
+        goals: &Bound<'py, PyAny>,
+        actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let start = frames("start", start)?;
+        let goals = frames("goals", goals)?;
+        let actions = array::<f32, Ix3>("actions", actions, "float32 [D, H, A]")?;
         let actions = actions.as_array();
-        let costs = py
-            .detach(|| self.inner.shared_costs(&start.inner, &goals.inner, actions))
-            .map_err(to_py)?;
+        let costs =
+            detached(py, || self.inner.shared_costs(start, goals, actions))?.map_err(to_py)?;
         Ok(costs.into_pyarray(py))
     }
 
@@ -187,11 +232,13 @@ impl PyLayerWorld {
     fn rollout<'py>(
         &self,
         py: Python<'py>,
-        starts: &PyLayerFrames,
-        actions: PyReadonlyArray4<'py, f32>,
+        starts: &Bound<'py, PyAny>,
+        actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray4<f32>>> {
+        let starts = frames("starts", starts)?;
+        let actions = array::<f32, Ix4>("actions", actions, "float32 [B, D, H, A]")?;
         let actions = actions.as_array();
-        let paths = py.detach(|| self.inner.rollout(&starts.inner, actions)).map_err(to_py)?;
+        let paths = detached(py, || self.inner.rollout(starts, actions))?.map_err(to_py)?;
         Ok(paths.into_pyarray(py))
     }
 
@@ -199,25 +246,33 @@ impl PyLayerWorld {
     fn draw<'py>(
         &self,
         py: Python<'py>,
-        starts: &PyLayerFrames,
-        states: PyReadonlyArray2<'py, f32>,
+        starts: &Bound<'py, PyAny>,
+        states: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray4<f32>>> {
+        let starts = frames("starts", starts)?;
+        let states = array::<f32, Ix2>("states", states, "float32 [N, X]")?;
         let states = states.as_array();
-        let frames = py.detach(|| self.inner.draw(&starts.inner, states)).map_err(to_py)?;
-        Ok(frames.into_pyarray(py))
+        let drawn = detached(py, || self.inner.draw(starts, states))?.map_err(to_py)?;
+        Ok(drawn.into_pyarray(py))
     }
 
     /// Predicted frames uint8 `[N, H, S, S, 3]` of `actions [N, H, A]`.
     fn predict<'py>(
         &self,
         py: Python<'py>,
-        starts: &PyLayerFrames,
-        actions: PyReadonlyArray3<'py, f32>,
+        starts: &Bound<'py, PyAny>,
+        actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray5<u8>>> {
+        let starts = frames("starts", starts)?;
+        let actions = array::<f32, Ix3>("actions", actions, "float32 [N, H, A]")?;
         let actions = actions.as_array();
-        let frames = py.detach(|| self.inner.predict(&starts.inner, actions)).map_err(to_py)?;
-        Ok(frames.into_pyarray(py))
+        let predicted = detached(py, || self.inner.predict(starts, actions))?.map_err(to_py)?;
+        Ok(predicted.into_pyarray(py))
     }
+}
+
+fn frames<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a LayerFrames> {
+    Ok(&instance::<PyLayerFrames>(argument, object)?.get().inner)
 }
 
 /// Adds this file's classes to the module.

@@ -1,13 +1,17 @@
 //! Python bindings of `hvf-core`: convert, check, release the GIL; nothing else.
 #![deny(missing_docs)]
 
+mod arguments;
 mod costs;
 mod error;
 mod keypoint;
+mod latent;
+mod latent_weights;
 mod layers;
 mod maze;
 mod maze_world;
 mod planner;
+mod threads;
 
 use pyo3::prelude::*;
 
@@ -17,6 +21,7 @@ fn hvf_core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     costs::register(module)?;
     keypoint::register(module)?;
+    latent::register(module)?;
     layers::register(module)?;
     maze::register(module)?;
     maze_world::register(module)?;

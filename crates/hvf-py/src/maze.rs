@@ -8,16 +8,14 @@ use hvf_core_rs::maze::geometry::{
 };
 use hvf_core_rs::maze::render::VIEW;
 use hvf_core_rs::maze::{self, Difficulty, Episode, Renderer, State, ACTION_LIMIT, IMAGE_SIZE};
-use ndarray::Ix2;
-use numpy::{
-    AllowTypeChange, Element, PyArray1, PyArrayDyn, PyArrayLikeDyn, PyArrayMethods,
-    PyReadonlyArrayDyn, PyUntypedArrayMethods,
-};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use ndarray::{Ix2, Ix4};
+use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyInt;
 
+use crate::arguments::{array, new_array, numbers, unfit, Text, Whole};
 use crate::error::to_py;
+use crate::threads::detached;
 
 /// Frames between two looks at whether Ctrl-C was pressed.
 const FRAMES_PER_CHUNK: usize = 20_000;
@@ -26,19 +24,15 @@ const EPISODES_PER_CHUNK: usize = 1 << 16;
 
 /// A float array `[N, columns]` as rows; anything `numpy.asarray` takes.
 fn rows<const C: usize>(argument: &str, array: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; C]>> {
-    let complaint =
-        |found: String| format!("{argument}: expected a float array [N, {C}], got {found}");
-    let array: PyArrayLikeDyn<'_, f64, AllowTypeChange> = array.extract().map_err(|_| {
-        let kind = array.get_type();
-        PyTypeError::new_err(complaint(format!("something else ({kind})")))
-    })?;
-    let view = array.as_array();
-    match view.into_dimensionality::<Ix2>() {
-        Ok(view) if view.ncols() == C => {
-            Ok(view.rows().into_iter().map(|row| std::array::from_fn(|i| row[i])).collect())
-        }
-        _ => Err(PyValueError::new_err(complaint(format!("shape {:?}", array.shape())))),
+    let expected = format!("a float array [N, {C}]");
+    let found = numbers::<f64, Ix2>(argument, array, &expected)?;
+    if found.ncols() != C {
+        return Err(PyValueError::new_err(format!(
+            "{argument}: expected {expected}, got shape {:?}",
+            found.shape()
+        )));
     }
+    Ok(found.rows().into_iter().map(|row| std::array::from_fn(|i| row[i])).collect())
 }
 
 /// States `[N, 4]`, rows `(x, y, w1, w2)`.
@@ -68,36 +62,9 @@ fn targets(array: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<[f64; 2]>> {
     Ok(targets)
 }
 
-/// An integer of 0 or more.
-fn natural(argument: &str, value: &Bound<'_, PyAny>) -> PyResult<u64> {
-    let index = value.call_method0("__index__").map_err(|_| {
-        PyTypeError::new_err(format!("{argument}: expected an integer, got {value}"))
-    })?;
-    index.cast::<PyInt>()?.extract().map_err(|_| {
-        PyValueError::new_err(format!("{argument}: must be from 0 to 2**64 - 1, got {index}"))
-    })
-}
-
-fn count(argument: &str, value: &Bound<'_, PyAny>) -> PyResult<usize> {
-    let count = natural(argument, value)?;
-    usize::try_from(count)
-        .ok()
-        .filter(|&count| count <= (1 << 40))
-        .ok_or_else(|| PyValueError::new_err(format!("{argument}: {count} is too many")))
-}
-
-fn renderer(size: Option<&Bound<'_, PyAny>>) -> PyResult<Arc<Renderer>> {
-    let size = size.map_or(Ok(IMAGE_SIZE), |size| count("size", size))?;
+fn renderer(size: Option<Whole>) -> PyResult<Arc<Renderer>> {
+    let size = size.map_or(Ok(IMAGE_SIZE), |size| size.count("size"))?;
     Renderer::shared(size).map_err(to_py)
-}
-
-/// A new array with undefined content; NumPy raises `MemoryError` where there is no room.
-fn new_array<'py, T: Element>(
-    py: Python<'py>,
-    shape: &[usize],
-) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
-    let array = py.import("numpy")?.call_method1("empty", (shape, T::get_dtype(py)))?;
-    Ok(array.cast_into::<PyArrayDyn<T>>()?)
 }
 
 type Floats<'py> = Bound<'py, PyArrayDyn<f64>>;
@@ -105,10 +72,11 @@ type Floats<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// States as rows of a new array of this shape, `[.., 4]`.
 fn to_rows<'py>(
     py: Python<'py>,
+    argument: &str,
     shape: &[usize],
     states: impl Iterator<Item = State>,
 ) -> PyResult<Floats<'py>> {
-    let array = new_array::<f64>(py, shape)?;
+    let array = new_array::<f64>(py, argument, shape)?;
     let mut writable = array.readwrite();
     for (row, state) in writable.as_slice_mut()?.chunks_exact_mut(4).zip(states) {
         row.copy_from_slice(&state.to_row());
@@ -136,8 +104,8 @@ fn maze_step<'py>(
     // What is finite is clipped before it loses its range.
     let clip = |a: f64| if a.is_finite() { a.clamp(-ACTION_LIMIT, ACTION_LIMIT) } else { a };
     let actions: Vec<[f32; 2]> = actions.into_iter().map(|a| a.map(|a| clip(a) as f32)).collect();
-    let next = py.detach(|| maze::step_batch(&states, &actions)).map_err(to_py)?;
-    to_rows(py, &[next.len(), 4], next.into_iter())
+    let next = detached(py, || maze::step_batch(&states, &actions))?.map_err(to_py)?;
+    to_rows(py, "states", &[next.len(), 4], next.into_iter())
 }
 
 /// Frames of `states[N, 4]`: uint8 `[N, size, size, 3]`, RGB, row 0 at the top.
@@ -148,16 +116,16 @@ fn maze_step<'py>(
 fn maze_render<'py>(
     py: Python<'py>,
     states: &Bound<'py, PyAny>,
-    size: Option<&Bound<'py, PyAny>>,
+    size: Option<Whole>,
 ) -> PyResult<Bound<'py, PyArrayDyn<u8>>> {
     let states = self::states("states", states)?;
     let renderer = renderer(size)?;
     let size = renderer.size();
-    let frames = new_array::<u8>(py, &[states.len(), size, size, 3])?;
+    let frames = new_array::<u8>(py, "size", &[states.len(), size, size, 3])?;
     {
         let mut writable = frames.readwrite();
         let bytes = writable.as_slice_mut()?;
-        py.detach(|| maze::render_batch(&renderer, &states, bytes)).map_err(to_py)?;
+        detached(py, || maze::render_batch(&renderer, &states, bytes))?.map_err(to_py)?;
     }
     Ok(frames)
 }
@@ -169,23 +137,22 @@ fn maze_render<'py>(
 ///
 /// Raises TypeError for what is not uint8, ValueError for other shapes.
 #[pyfunction]
+#[pyo3(signature = (images), text_signature = "(images)")]
 fn maze_locate<'py>(py: Python<'py>, images: &Bound<'py, PyAny>) -> PyResult<Floats<'py>> {
-    let complaint = |found: String| format!("images: expected uint8 [N, S, S, 3], got {found}");
-    let images: PyReadonlyArrayDyn<'_, u8> = images.extract().map_err(|_| {
-        let found = images.getattr("dtype").unwrap_or_else(|_| images.get_type().into_any());
-        PyTypeError::new_err(complaint(found.to_string()))
-    })?;
-    let (size, shape) = match *images.shape() {
-        [_, height, width, 3] if height == width => (height, images.shape()),
-        ref other => return Err(PyValueError::new_err(complaint(format!("shape {other:?}")))),
+    const EXPECTED: &str = "uint8 [N, S, S, 3]";
+    let object = images;
+    let complaint = || PyValueError::new_err(unfit("images", EXPECTED, object));
+    let images = array::<u8, Ix4>("images", object, EXPECTED)?;
+    let size = match images.as_array().dim() {
+        (_, height, width, 3) if height == width => height,
+        _ => return Err(complaint()),
     };
-    let renderer = Renderer::shared(size)
-        .map_err(|_| PyValueError::new_err(complaint(format!("shape {shape:?}"))))?;
+    let renderer = Renderer::shared(size).map_err(|_| complaint())?;
     let view = images.as_array();
     let standard = view.as_standard_layout();
     let bytes = standard.as_slice().unwrap_or_default();
-    let found = py.detach(|| maze::locate_batch(&renderer, bytes)).map_err(to_py)?;
-    to_rows(py, &[found.len(), 4], found.into_iter())
+    let found = detached(py, || maze::locate_batch(&renderer, bytes))?.map_err(to_py)?;
+    to_rows(py, "images", &[found.len(), 4], found.into_iter())
 }
 
 /// Episodes `first..first + count` of a seed: `(starts [N, 4], targets [N, 2])`, float64.
@@ -198,16 +165,16 @@ fn maze_locate<'py>(py: Python<'py>, images: &Bound<'py, PyAny>) -> PyResult<Flo
 #[pyfunction]
 fn maze_episodes<'py>(
     py: Python<'py>,
-    seed: &Bound<'py, PyAny>,
-    first: &Bound<'py, PyAny>,
-    count: &Bound<'py, PyAny>,
-    difficulty: &str,
+    seed: Whole,
+    first: Whole,
+    count: Whole,
+    difficulty: Text,
 ) -> PyResult<(Floats<'py>, Floats<'py>)> {
-    let (seed, first) = (natural("seed", seed)?, natural("first", first)?);
-    let count = self::count("count", count)?;
-    let difficulty: Difficulty = difficulty.parse().map_err(to_py)?;
-    let (starts, targets) =
-        (new_array::<f64>(py, &[count, 4])?, new_array::<f64>(py, &[count, 2])?);
+    let (seed, first) = (seed.seed("seed")?, first.seed("first")?);
+    let count = count.amount("count")?;
+    let difficulty: Difficulty = difficulty.get("difficulty")?.parse().map_err(to_py)?;
+    let starts = new_array::<f64>(py, "count", &[count, 4])?;
+    let targets = new_array::<f64>(py, "count", &[count, 2])?;
     {
         let (mut starts, mut targets) = (starts.readwrite(), targets.readwrite());
         let rows = starts.as_slice_mut()?.chunks_exact_mut(4);
@@ -236,14 +203,14 @@ fn maze_subgoals<'py>(
     py: Python<'py>,
     starts: &Bound<'py, PyAny>,
     targets: &Bound<'py, PyAny>,
-    subgoals: &Bound<'py, PyAny>,
+    subgoals: Whole,
 ) -> PyResult<Floats<'py>> {
     let starts = states("starts", starts)?;
     let targets = self::targets(targets, starts.len())?;
-    let subgoals = count("subgoals", subgoals)?;
+    let subgoals = subgoals.amount("subgoals")?;
     let shape = [starts.len(), subgoals, 4];
     let episodes = starts.into_iter().zip(targets).map(|(start, target)| Episode { start, target });
-    to_rows(py, &shape, episodes.flat_map(|episode| episode.subgoals(subgoals)))
+    to_rows(py, "subgoals", &shape, episodes.flat_map(|episode| episode.subgoals(subgoals)))
 }
 
 type Interaction<'py> = (Bound<'py, PyArrayDyn<u8>>, Bound<'py, PyArrayDyn<f32>>, Floats<'py>);
@@ -264,22 +231,22 @@ type Interaction<'py> = (Bound<'py, PyArrayDyn<u8>>, Bound<'py, PyArrayDyn<f32>>
 )]
 fn maze_collect<'py>(
     py: Python<'py>,
-    seed: &Bound<'py, PyAny>,
-    first: &Bound<'py, PyAny>,
-    count: &Bound<'py, PyAny>,
-    steps: &Bound<'py, PyAny>,
-    size: Option<&Bound<'py, PyAny>>,
+    seed: Whole,
+    first: Whole,
+    count: Whole,
+    steps: Whole,
+    size: Option<Whole>,
 ) -> PyResult<Interaction<'py>> {
-    let (seed, first) = (natural("seed", seed)?, natural("first", first)?);
-    let (count, steps) = (self::count("count", count)?, self::count("steps", steps)?);
+    let (seed, first) = (seed.seed("seed")?, first.seed("first")?);
+    let (count, steps) = (count.amount("count")?, steps.amount("steps")?);
     let renderer = renderer(size)?;
     let size = renderer.size();
     if steps == 0 {
         return Err(PyValueError::new_err("steps: must be at least 1"));
     }
-    let frames = new_array::<u8>(py, &[count, steps + 1, size, size, 3])?;
-    let actions = new_array::<f32>(py, &[count, steps, 2])?;
-    let states = new_array::<f64>(py, &[count, steps + 1, 4])?;
+    let frames = new_array::<u8>(py, "count", &[count, steps + 1, size, size, 3])?;
+    let actions = new_array::<f32>(py, "count", &[count, steps, 2])?;
+    let states = new_array::<f64>(py, "count", &[count, steps + 1, 4])?;
     let per_chunk = (FRAMES_PER_CHUNK / (steps + 1)).max(1);
     {
         let (mut frames, mut actions) = (frames.readwrite(), actions.readwrite());
@@ -293,9 +260,9 @@ fn maze_collect<'py>(
             py.check_signals()?;
             let begin = first.wrapping_add((chunk * per_chunk) as u64);
             let episodes = actions.len() / (steps * 2);
-            let part = py
-                .detach(|| maze::collect(&renderer, seed, begin, episodes, steps, frames))
-                .map_err(to_py)?;
+            let part =
+                detached(py, || maze::collect(&renderer, seed, begin, episodes, steps, frames))?
+                    .map_err(to_py)?;
             for (row, action) in actions.chunks_exact_mut(2).zip(&part.actions) {
                 row.copy_from_slice(action);
             }

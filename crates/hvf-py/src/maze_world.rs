@@ -4,16 +4,18 @@ use hvf_core_rs::image::OverHorizon;
 use hvf_core_rs::maze::{MazeFrames, MazeSubgoals, MazeWorld, MazeWorldConfig, Renderer};
 use hvf_core_rs::planner::{Frames, SubgoalModel, WorldModel};
 use hvf_core_rs::Error;
-use ndarray::{Array, Array2, Array3, Array4, Dimension, Ix1, Ix3, Ix4};
+use ndarray::{Array2, Array3, Array4, Ix3, Ix4};
 use numpy::{
-    AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayLikeDyn,
-    PyReadonlyArray4, PyUntypedArray, PyUntypedArrayMethods,
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyReadonlyArray4, PyUntypedArray,
+    PyUntypedArrayMethods,
 };
-use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
 
+use crate::arguments::{array, axes_of, indices, numbers, text, unfit, Given, Real, Text, Whole};
 use crate::error::to_py;
+use crate::threads::detached;
 
 /// Frames of the maze: states, with the images they were read off where there are any.
 ///
@@ -28,9 +30,13 @@ pub struct PyMazeFrames {
 #[pymethods]
 impl PyMazeFrames {
     #[new]
-    #[pyo3(signature = (states, image_size = 64))]
-    fn new(states: &Bound<'_, PyAny>, image_size: usize) -> PyResult<Self> {
-        Renderer::new(image_size)
+    #[pyo3(
+        signature = (states, image_size = Given::of(64)),
+        text_signature = "(states, image_size=64)"
+    )]
+    fn new(states: &Bound<'_, PyAny>, image_size: Whole) -> PyResult<Self> {
+        let image_size = image_size.count("image_size")?;
+        Renderer::shared(image_size)
             .map_err(|error| PyValueError::new_err(format!("image_size: {error}")))?;
         let states = crate::maze::states("states", states)?;
         Ok(Self { inner: MazeFrames::from_states(states, image_size) })
@@ -40,26 +46,11 @@ impl PyMazeFrames {
         self.inner.len()
     }
 
-    /// The frames at `index`: an integer (one frame, still a batch) or an integer array.
+    /// The frames at `index`: an integer (one frame, still a batch), or a list or an array of
+    /// integers; negative ones count from the end. Raises IndexError beyond the batch.
     fn __getitem__(&self, index: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let complaint = || PyTypeError::new_err("index: expected an integer or an int64 array");
-        let index: Vec<i64> = if let Ok(one) = index.extract::<i64>() {
-            vec![one]
-        } else {
-            let many: PyArrayLikeDyn<'_, i64> = index.extract().map_err(|_| complaint())?;
-            let many = many.as_array().to_owned();
-            many.into_dimensionality::<Ix1>().map_err(|_| complaint())?.to_vec()
-        };
-        let count = self.inner.len() as i64;
-        let picked = index
-            .into_iter()
-            .map(|i| match i {
-                0.. if i < count => Ok(i as usize),
-                ..0 if i >= -count => Ok((i + count) as usize),
-                _ => Err(PyIndexError::new_err(format!("index {i} is beyond {count} frames"))),
-            })
-            .collect::<PyResult<Vec<usize>>>()?;
-        Ok(Self { inner: self.inner.select(&picked).map_err(to_py)? })
+        let index = indices(index, self.inner.len())?;
+        Ok(Self { inner: self.inner.select(&index).map_err(to_py)? })
     }
 
     /// States, float64 `[N, 4]`, rows `(x, y, w1, w2)` (a copy).
@@ -74,14 +65,14 @@ impl PyMazeFrames {
     #[getter]
     fn images<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
         let (count, size) = (self.inner.len(), self.inner.image_size());
-        let bytes = py.detach(|| {
+        let bytes = detached(py, || {
             let renderer = Renderer::new(size)?;
             let mut bytes = Vec::with_capacity(count * renderer.frame_len());
             for i in 0..count {
                 bytes.extend_from_slice(&self.inner.image(&renderer, i)?);
             }
             Ok(bytes)
-        });
+        })?;
         let images = Array4::from_shape_vec((count, size, size, 3), bytes.map_err(to_py)?);
         Ok(images.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
     }
@@ -113,10 +104,17 @@ pub struct PyMazeWorld {
 #[pymethods]
 impl PyMazeWorld {
     #[new]
-    #[pyo3(signature = (image_size = 64, blur = 0.0, over_horizon = "last"))]
-    fn new(image_size: usize, blur: f64, over_horizon: &str) -> PyResult<Self> {
-        let over_horizon = OverHorizon::from_name(over_horizon).map_err(to_py)?;
-        let config = MazeWorldConfig { image_size, blur, over_horizon };
+    #[pyo3(
+        signature = (image_size = Given::of(64), blur = Given::of(0.0), over_horizon = text("last")),
+        text_signature = "(image_size=64, blur=0.0, over_horizon='last')"
+    )]
+    fn new(image_size: Whole, blur: Real, over_horizon: Text) -> PyResult<Self> {
+        let over_horizon = over_horizon.get("over_horizon")?;
+        let over_horizon = OverHorizon::from_name(&over_horizon).map_err(to_py)?;
+        let image_size = image_size.count("image_size")?;
+        Renderer::shared(image_size)
+            .map_err(|error| PyValueError::new_err(format!("image_size: {error}")))?;
+        let config = MazeWorldConfig { image_size, blur: blur.get("blur")?, over_horizon };
         Ok(Self { inner: MazeWorld::new(config).map_err(to_py)? })
     }
 
@@ -156,10 +154,10 @@ impl PyMazeWorld {
     fn observe(&self, py: Python<'_>, images: &Bound<'_, PyAny>) -> PyResult<PyMazeFrames> {
         let images = self.images("images", images)?;
         let images = images.as_array();
-        let inner = py.detach(|| {
+        let inner = detached(py, || {
             let standard = images.as_standard_layout();
             self.inner.observe(standard.as_slice().unwrap_or_default())
-        });
+        })?;
         Ok(PyMazeFrames { inner: inner.map_err(to_py)? })
     }
 
@@ -176,8 +174,8 @@ impl PyMazeWorld {
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let starts = self.frames(py, "starts", starts)?;
         let goals = self.frames(py, "goals", goals)?;
-        let actions = floats::<Ix4>("actions", "[B, D, H, 2]", actions)?;
-        let costs = py.detach(|| self.inner.rollout_costs(&starts, &goals, actions.into()));
+        let actions = numbers::<f32, Ix4>("actions", actions, "a float array [B, D, H, 2]")?;
+        let costs = detached(py, || self.inner.rollout_costs(&starts, &goals, actions.into()))?;
         Ok(costs.map_err(to_py)?.into_pyarray(py))
     }
 
@@ -192,12 +190,12 @@ impl PyMazeWorld {
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let start = self.frames(py, "start", start)?;
         let goals = self.frames(py, "goals", goals)?;
-        let actions = floats::<Ix3>("actions", "[D, H, 2]", actions)?;
-        let costs = py.detach(|| {
+        let actions = numbers::<f32, Ix3>("actions", actions, "a float array [D, H, 2]")?;
+        let costs = detached(py, || {
             self.inner
                 .shared_rollout_costs(&start, &goals, actions.into())
                 .unwrap_or_else(|| Err(Error::Model("cannot share rollouts".into())))
-        });
+        })?;
         Ok(costs.map_err(to_py)?.into_pyarray(py))
     }
 
@@ -213,8 +211,8 @@ impl PyMazeWorld {
             let problem = format!("start: must be one frame, got {}", start.len());
             return Err(PyValueError::new_err(problem));
         }
-        let actions = floats::<Ix3>("actions", "[D, H, 2]", actions)?;
-        let states = py.detach(|| self.inner.rollout(start.state(0), actions.view()));
+        let actions = numbers::<f32, Ix3>("actions", actions, "a float array [D, H, 2]")?;
+        let states = detached(py, || self.inner.rollout(start.state(0), actions.view()))?;
         let rows = states.map_err(to_py)?.mapv(|state| state.to_row());
         let (d, h) = rows.dim();
         let columns = |(d, h, column): (usize, usize, usize)| rows[[d, h]][column];
@@ -252,7 +250,7 @@ impl PyMazeWorld {
         let images = images.as_array();
         let standard = images.as_standard_layout();
         let bytes = standard.as_slice().unwrap_or_default();
-        py.detach(|| self.inner.observe(bytes)).map_err(to_py)
+        detached(py, || self.inner.observe(bytes))?.map_err(to_py)
     }
 }
 
@@ -270,8 +268,9 @@ pub struct PyMazeSubgoals {
 #[pymethods]
 impl PyMazeSubgoals {
     #[new]
-    #[pyo3(signature = (latent_dim = 8))]
-    fn new(latent_dim: usize) -> PyResult<Self> {
+    #[pyo3(signature = (latent_dim = Given::of(8)), text_signature = "(latent_dim=8)")]
+    fn new(latent_dim: Whole) -> PyResult<Self> {
+        let latent_dim = latent_dim.count("latent_dim")?;
         Ok(Self { inner: MazeSubgoals::new(latent_dim).map_err(to_py)? })
     }
 
@@ -287,12 +286,13 @@ impl PyMazeSubgoals {
         scene: &Bound<'_, PyAny>,
         latents: &Bound<'_, PyAny>,
     ) -> PyResult<PyMazeFrames> {
-        let latents = floats::<Ix3>("latents", "[M, K, L]", latents)?;
-        let scene = match scene.cast::<PyMazeFrames>() {
+        let latents = numbers::<f32, Ix3>("latents", latents, "a float array [M, K, L]")?;
+        let found = match scene.cast::<PyMazeFrames>() {
             Ok(frames) => frames.get().inner.clone(),
             Err(_) => located(scene)?,
         };
-        Ok(PyMazeFrames { inner: self.inner.decode(&scene, latents).map_err(to_py)? })
+        let frames = detached(scene.py(), || self.inner.decode(&found, latents))?;
+        Ok(PyMazeFrames { inner: frames.map_err(to_py)? })
     }
 
     fn __repr__(&self) -> String {
@@ -311,8 +311,10 @@ fn located(scene: &Bound<'_, PyAny>) -> PyResult<MazeFrames> {
     let images = images_of_size("scene", images, size)?;
     let images = images.as_array();
     let standard = images.as_standard_layout();
-    let renderer = Renderer::new(size).map_err(to_py)?;
-    MazeFrames::from_images(&renderer, standard.as_slice().unwrap_or_default()).map_err(to_py)
+    let renderer =
+        Renderer::shared(size).map_err(|error| PyValueError::new_err(format!("scene: {error}")))?;
+    let bytes = standard.as_slice().unwrap_or_default();
+    detached(scene.py(), || MazeFrames::from_images(&renderer, bytes))?.map_err(to_py)
 }
 
 /// A uint8 array `[N, size, size, 3]`; a single image gets an axis.
@@ -321,44 +323,14 @@ fn images_of_size<'py>(
     object: &Bound<'py, PyAny>,
     size: usize,
 ) -> PyResult<PyReadonlyArray4<'py, u8>> {
-    let Ok(array) = object.cast::<PyUntypedArray>() else {
-        return Err(PyTypeError::new_err(format!(
-            "{argument}: expected MazeFrames or uint8 images [N, {size}, {size}, 3], got {}",
-            object.get_type().name()?
-        )));
-    };
-    let complaint = format!(
-        "{argument}: expected uint8 images [N, {size}, {size}, 3], got {} {:?}",
-        array.dtype(),
-        array.shape()
-    );
-    let array = match array.ndim() {
-        3 => object.get_item(object.py().None())?,
-        _ => object.clone(),
-    };
-    let images: PyReadonlyArray4<'py, u8> =
-        array.extract().map_err(|_| PyTypeError::new_err(complaint.clone()))?;
+    let expected = format!("MazeFrames or uint8 images [N, {size}, {size}, 3]");
+    let one = axes_of::<u8>(object) == Some(3);
+    let batch = if one { object.get_item(object.py().None())? } else { object.clone() };
+    let images = array::<u8, Ix4>(argument, &batch, &expected)?;
     if images.shape()[1..] != [size, size, 3] {
-        return Err(PyValueError::new_err(complaint));
+        return Err(PyValueError::new_err(unfit(argument, &expected, object)));
     }
     Ok(images)
-}
-
-/// A copy of anything that `numpy.asarray` makes a float32 array of this many axes.
-fn floats<D: Dimension>(
-    argument: &str,
-    expected: &str,
-    object: &Bound<'_, PyAny>,
-) -> PyResult<Array<f32, D>> {
-    let found: PyArrayLikeDyn<'_, f32, AllowTypeChange> = object.extract().map_err(|_| {
-        let kind = object.get_type();
-        PyTypeError::new_err(format!("{argument}: expected a float array {expected}, got {kind}"))
-    })?;
-    let shape = found.shape().to_vec();
-    found.as_array().to_owned().into_dimensionality().map_err(|_| {
-        let problem = format!("{argument}: expected a float array {expected}, got shape {shape:?}");
-        PyValueError::new_err(problem)
-    })
 }
 
 /// Adds this file's classes to the module.

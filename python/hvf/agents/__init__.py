@@ -2,15 +2,18 @@
 
 from hvf.agents.method import Means, Method
 from hvf.agents.planning import PlanningAgent
+from hvf.agents.policy import PolicyAgent
 from hvf.agents.random import RandomAgent
-from hvf.agents.subgoals import ground_truth, no_subgoals, searched
+from hvf.agents.subgoals import ground_truth, no_subgoals, proposed, searched
 
 __all__ = [
     "Means",
     "Method",
     "PlanningAgent",
+    "PolicyAgent",
     "RandomAgent",
     "ground_truth",
     "no_subgoals",
+    "proposed",
     "searched",
 ]

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hvf.agents.planning import PlanningAgent
+from hvf.agents.policy import PolicyAgent
 from hvf.agents.random import RandomAgent
-from hvf.agents.subgoals import ground_truth, no_subgoals, searched
-from hvf.protocols import Agent, SubgoalModel, SubgoalSource, WorldModel
+from hvf.agents.subgoals import ground_truth, no_subgoals, proposed, searched
+from hvf.protocols import Agent, Policy, Proposer, SubgoalModel, SubgoalSource, WorldModel
 from hvf.settings import Planning
 
 
@@ -31,6 +32,8 @@ class Means:
         action_high: highest action, float32 ``[A]``.
         world: what it plans with; None for a method that needs no dynamics.
         generator: what draws subgoals; None for a method that needs none.
+        model: what the method asks of its own: a :class:`~hvf.protocols.Proposer`, a
+            :class:`~hvf.protocols.Policy`; None for a method that asks nothing.
         privileged: plans start from frames of the trials (:class:`hvf.protocols.Privileged`) and
             not from what is observed.
     """
@@ -41,6 +44,7 @@ class Means:
     action_high: NDArray[np.float32]
     world: WorldModel[Any] | None = None
     generator: SubgoalModel[Any] | None = None
+    model: Any = None
     privileged: bool = False
 
     def planner(self, source: SubgoalSource) -> PlanningAgent:
@@ -66,6 +70,8 @@ class Method:
         needs_dynamics: whether it plans with a model.
         needs_generator: whether it draws subgoals with a model.
         has_subgoals: whether the number of subgoals is a setting of it.
+        asks: the model that it asks beside dynamics and generator, by its name among the domain's
+            weights; another of the same role will do. None for none.
     """
 
     about: str
@@ -74,6 +80,7 @@ class Method:
     needs_dynamics: bool = True
     needs_generator: bool = False
     has_subgoals: bool = False
+    asks: str | None = None
 
     def label(self, subgoals: int) -> str:
         """Its name in tables, with this many subgoals."""
@@ -89,6 +96,20 @@ def _search(means: Means) -> Agent:
     return means.planner(searched(search, means.world, means.generator))
 
 
+def _proposal(means: Means) -> Agent:
+    if not means.subgoals:
+        return means.planner(no_subgoals)
+    if not isinstance(means.model, Proposer):
+        raise ValueError("method_model: a method that proposes subgoals needs a model that does")
+    return means.planner(proposed(means.subgoals, means.model))
+
+
+def _policy(means: Means) -> Agent:
+    if not isinstance(means.model, Policy):
+        raise ValueError("method_model: a method without plans needs a model that acts")
+    return PolicyAgent(means.model)
+
+
 NONE = Method(
     "visual foresight: plans straight to the goal image (Finn & Levine, 2017)",
     "no subgoals",
@@ -101,11 +122,25 @@ HVF = Method(
     needs_generator=True,
     has_subgoals=True,
 )
+TAP = Method(
+    "time-agnostic prediction: proposes subgoal images without a search, then plans to each",
+    "TAP-{}",
+    _proposal,
+    has_subgoals=True,
+    asks="tap",
+)
 GROUND_TRUTH = Method(
     "gets the domain's own subgoals: an upper bound",
     "ground truth-{}",
     lambda means: means.planner(ground_truth(means.subgoals)),
     has_subgoals=True,
+)
+RIG = Method(
+    "acts by a policy that learned to reach imagined goals, without a plan (Nair et al., 2018)",
+    "RIG",
+    _policy,
+    needs_dynamics=False,
+    asks="rig",
 )
 RANDOM = Method(
     "acts at random: the floor",

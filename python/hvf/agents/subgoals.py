@@ -8,7 +8,16 @@ from typing import Any
 import numpy as np
 
 from hvf.agents.frames import observed
-from hvf.protocols import Frames, SubgoalModel, SubgoalSource, Trials, TrueSubgoals, WorldModel
+from hvf.protocols import (
+    Frames,
+    Images,
+    Proposer,
+    SubgoalModel,
+    SubgoalSource,
+    Trials,
+    TrueSubgoals,
+    WorldModel,
+)
 from hvf_core import HVF
 
 
@@ -51,6 +60,19 @@ def searched(search: HVF, world: WorldModel[Any], generator: SubgoalModel[Any]) 
         found = search.search(world, generator, starts[index], goals[index], seed)
         frames: Frames = found.subgoals
         return frames
+
+    return source
+
+
+def proposed(count: int, proposer: Proposer) -> SubgoalSource:
+    """Subgoal images that a model proposes between start and goal, once, at the start.
+
+    Reads what trials show and nothing else.
+    """
+
+    def source(trials: Trials, trial: int, seed: int) -> Images:
+        start = trials.observe(np.array([trial]))[0]
+        return proposer.propose(start, trials.goals[trial], count)
 
     return source
 

@@ -116,6 +116,20 @@ class EpisodePool:
         """
         check_equal_lengths(self._file, what)
 
+    def long_enough(self, steps: int, what: str, step: int) -> NDArray[np.int64]:
+        """Places in the pool of the episodes that have at least so many ``steps``.
+
+        Raises:
+            ValueError: there is none now, at training step ``step``; names ``what`` asks for it.
+        """
+        enough = np.flatnonzero(self.lengths >= steps)
+        if not len(enough):
+            raise ValueError(
+                f"{what}: none of the {len(self)} episodes in memory at step {step} has "
+                f"{steps} steps; hold more of them (memory_gb)"
+            )
+        return enough
+
     def close(self) -> None:
         """Close the file; what the pool holds stays."""
         self._file.close()
@@ -193,12 +207,7 @@ class WindowSampler:
         """
         self._pool.move_to(step)
         rng = np.random.default_rng([self._seed, step])
-        enough = np.flatnonzero(self._pool.lengths >= self._length)
-        if not len(enough):
-            raise ValueError(
-                f"length: none of the {len(self._pool)} episodes in memory at step {step} has "
-                f"{self._length} steps; hold more of them (memory_gb)"
-            )
+        enough = self._pool.long_enough(self._length, "length", step)
         episodes = enough[rng.integers(len(enough), size=(self._batch_size, 1))]
         starts = rng.integers(self._pool.lengths[episodes] - self._length + 1)
         return {

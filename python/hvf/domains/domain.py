@@ -6,6 +6,7 @@ point of the group ``hvf.domains``. It is light: simulators start in :meth:`Doma
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -178,4 +179,4 @@ class Domain:
             dynamics = self.presets["default"].world.dynamics
         if generator == "default":
             generator = self.generators.get(dynamics, "default")
-        return World(dynamics, generator, world.cost, world.cost_model)
+        return dataclasses.replace(world, dynamics=dynamics, generator=generator)

@@ -136,8 +136,9 @@ MAZE = Domain(
         "keypoint-generator": WEIGHTS / "maze_keypoint_generator.safetensors",
         "cvae": WEIGHTS / "maze_cvae.safetensors",
         "temporal-distance": WEIGHTS / "maze_temporal_distance.safetensors",
+        "latent": WEIGHTS / "maze_latent.safetensors",
     },
-    generators={"keypoint": "keypoint-generator", "simulator": "oracle"},
+    generators={"keypoint": "keypoint-generator", "simulator": "oracle", "latent": "cvae"},
     # Pixel cost without subgoals, and numbers of subgoals on hard. Their other results are in a
     # bar chart only.
     published={

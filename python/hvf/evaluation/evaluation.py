@@ -13,7 +13,7 @@ import tyro
 from hvf.data.splits import EPISODE_SEEDS
 from hvf.domains.domain import Domain
 from hvf.registry import DOMAINS, METHODS
-from hvf.settings import Acting, Planning, Preset, World
+from hvf.settings import Acting, Planning, World
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,6 +121,19 @@ class Evaluation:
         return f"{self.domain} {self.task}: {', '.join(words)}"
 
     @property
+    def world_names(self) -> dict[str, str]:
+        """What takes part, by its part: "dynamics", "generator", "cost", "method"."""
+        method, world = METHODS[self.method], self.place.resolved(self.world)
+        names = {"dynamics": world.dynamics} if method.needs_dynamics else {}
+        if method.needs_generator:
+            names["generator"] = world.generator
+        if method.needs_dynamics:
+            names["cost"] = world.cost
+        if method.asks is not None:
+            names["method"] = world.method_model or method.asks
+        return names
+
+    @property
     def slug(self) -> str:
         """A name for its file: what it is, and all settings that differ from the preset's.
 
@@ -133,8 +146,10 @@ class Evaluation:
         world = dict(_changes(self.world, preset.world))
         if not method.needs_generator:
             world.pop("generator", None)
+        if method.asks is None:
+            world.pop("method_model", None)
         if not method.needs_dynamics:
-            world = {}
+            world = {name: value for name, value in world.items() if name == "method_model"}
         for name, value in {**world, **_changes(self.planning, preset.planning)}.items():
             words.append(f"{name}-{_word(value, place.weights)}")
         if self.split != "validation":
@@ -142,15 +157,6 @@ class Evaluation:
         if self.seed is not None:
             words.append(f"seed-{self.seed}")
         return re.sub(r"[^a-z0-9.]+", "-", " ".join(words).lower()).strip("-")
-
-
-def settings_changed(evaluation: Evaluation) -> dict[str, Any]:
-    """Settings of plan and world in which an evaluation differs from its preset."""
-    preset: Preset = evaluation.place.preset(evaluation.preset)
-    return {
-        **_changes(evaluation.world, preset.world),
-        **_changes(evaluation.planning, preset.planning),
-    }
 
 
 def _changes(a: Any, b: Any) -> Mapping[str, Any]:

@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 
 from hvf.data.formats import EpisodeReader
-from hvf.evaluation.image_quality import Measure, perceptual_distance, psnr, ssim
+from hvf.models.image_quality import Measure, perceptual_distance, psnr, ssim
 from hvf.models.probe import PositionProbe
 from hvf.protocols import Images, Observer, Remembering
 from hvf.registry import DOMAINS

@@ -69,8 +69,8 @@ class Report:
         preset: the settings that this began with.
         split: which episodes; None for those of a seed of one's own.
         seed: of the episodes and of all planning.
-        world: names of "dynamics", "generator" and "cost".
-        kind: "video", "object" or "simulator"; empty where nothing was planned.
+        world: names of "dynamics", "generator", "cost" and "method", of those that take part.
+        kind: "video", "object" or "simulator"; empty where no model took part.
         planning: all plan settings.
         weights: part to the model that it holds and its SHA-256, for those that took part.
         trials: outcomes, in order of their index.

@@ -13,7 +13,7 @@ from hvf.evaluation.acting import Outcome, Watcher, act, derived_seed
 from hvf.evaluation.evaluation import Evaluation
 from hvf.protocols import Agent, Trials
 from hvf.registry import METHODS
-from hvf.worlds.load import Loaded, load
+from hvf.worlds.load import Loaded, Weights, kind_of, load, load_asked
 
 _CHUNK, _CHUNK_IF_SLOW, _CHUNK_IF_SIMULATED = 25, 5, 2
 
@@ -29,6 +29,7 @@ class Task:
     Attributes:
         agent: what acts.
         loaded: what it plans with; None for a method that does not plan.
+        weights: the checkpoints that take part, by their part: those of ``loaded``, and "method".
 
     Raises:
         FileNotFoundError: models that are not there.
@@ -40,12 +41,17 @@ class Task:
         self.place = place
         self._own = own
         method, domain = METHODS[evaluation.method], evaluation.place
+        searches = method.needs_generator and evaluation.subgoals > 0
         self.loaded: Loaded | None = None
+        self.weights: dict[str, Weights] = {}
         if method.needs_dynamics:
-            searches = method.needs_generator and evaluation.subgoals > 0
             self.loaded = load(
                 domain, evaluation.world, evaluation.planning, place, generator=searches
             )
+            self.weights |= self.loaded.weights
+        model: Any = None
+        if method.asks is not None and (evaluation.subgoals or not method.has_subgoals):
+            self.weights["method"], model = load_asked(domain, evaluation.world, method.asks)
         low, high = domain.action_box
         dynamics = domain.resolved(evaluation.world).dynamics
         self.agent: Agent = method.agent(
@@ -56,6 +62,7 @@ class Task:
                 high,
                 None if self.loaded is None else self.loaded.world,
                 None if self.loaded is None else self.loaded.generator,
+                model,
                 privileged=dynamics in domain.privileged,
             )
         )
@@ -113,16 +120,15 @@ class Task:
         return _CHUNK_IF_SLOW if place.slow else _CHUNK
 
     @property
+    def kind(self) -> str:
+        """What results may be compared with: see :attr:`hvf.worlds.load.Loaded.kind`."""
+        simulated = self.loaded is not None and "dynamics" not in self.loaded.weights
+        return "simulator" if simulated else kind_of(self.weights)
+
+    @property
     def config(self) -> Mapping[str, Any]:
         """All settings, and checksums of the weights that take part; JSON's types."""
         evaluation, method = self.evaluation, METHODS[self.evaluation.method]
-        world = evaluation.place.resolved(evaluation.world)
-        names = {"dynamics": world.dynamics} if method.needs_dynamics else {}
-        if method.needs_generator:
-            names["generator"] = world.generator
-        if method.needs_dynamics:
-            names["cost"] = world.cost
-        weights = {} if self.loaded is None else self.loaded.weights
         return {
             "domain": evaluation.domain,
             "task": evaluation.task,
@@ -131,11 +137,12 @@ class Task:
             "preset": evaluation.preset,
             "split": evaluation.split if evaluation.seed is None else None,
             "seed": evaluation.episode_seed,
-            "world": names,
-            "kind": "" if self.loaded is None else self.loaded.kind,
+            "world": evaluation.world_names,
+            "kind": self.kind,
             "planning": dataclasses.asdict(evaluation.planning),
             "weights": {
-                part: {"model": file.model, "sha256": file.sha256} for part, file in weights.items()
+                part: {"model": file.model, "sha256": file.sha256}
+                for part, file in self.weights.items()
             },
         }
 

@@ -38,7 +38,7 @@ _LOOK = 0.2
 """Seconds between two looks at the processes."""
 _PATIENCE = 5.0
 """Seconds that a process has to stop before it is killed; its file is whole either way."""
-_SLOWER = {"latent": 100.0, "temporal": 10.0}
+_SLOWER = {"latent": 100.0, "temporal": 10.0, "tdm": 100.0}
 """How much slower than pixels a cost is, roughly; see :mod:`hvf.worlds.cost`."""
 
 
@@ -159,17 +159,13 @@ def report_of(evaluation: Evaluation, file: Path) -> Report | None:
 def _settings(evaluation: Evaluation) -> dict[str, object]:
     """What a report of an evaluation has to say, whatever the weights."""
     method = METHODS[evaluation.method]
-    world = evaluation.place.resolved(evaluation.world)
-    named = {"dynamics": world.dynamics, "cost": world.cost} if method.needs_dynamics else {}
-    if method.needs_generator:
-        named["generator"] = world.generator
     return {
         "domain": evaluation.domain,
         "task": evaluation.task,
         "method": evaluation.method,
         "subgoals": evaluation.subgoals if method.has_subgoals else 0,
         "seed": evaluation.episode_seed,
-        "world": named,
+        "world": evaluation.world_names,
         "planning": dataclasses.asdict(evaluation.planning),
     }
 

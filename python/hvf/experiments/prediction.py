@@ -40,6 +40,7 @@ from hvf.training.loop import LoopConfig
 from hvf.training.probe import train_probe
 
 _SHOWN = 12
+_STRIPS = 6
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,10 @@ def probe(config: Probe, console: Console | None = None) -> dict[str, Any]:
             f"model: {config.model} holds a {found.name} model, which is good for "
             f"{found.entry.role}, not for predicting frames"
         )
-    world = found.entry.resolved("plannable")(found.module, Planning())
+    # A model of long steps wants its actions held as long.
+    hold = int(getattr(found.module, "hold", 1))
+    planning = Planning(horizon=hold, action_repeat=hold)
+    world = found.entry.resolved("plannable")(found.module, planning)
     described = {"name": found.name, "kind": found.entry.kind}
     return measure(world, config, console, described)
 
@@ -124,8 +128,8 @@ def measure(
 ) -> dict[str, Any]:
     """Train the position probe, or take the one in ``config.out``, and measure predictions.
 
-    Writes ``figures.json`` and ``predictions.png`` into ``config.out``. The rows of the picture:
-    the last frame seen, then the true and the predicted one for each of the steps ahead.
+    Writes ``figures.json`` and two pictures into ``config.out``: ``predictions.png``
+    (:func:`picture`) and ``strips.png`` (:func:`strips`).
 
     Args:
         world: the model (:func:`hvf.evaluation.prediction.predict`); ``config.model`` names it.
@@ -187,6 +191,7 @@ def measure(
     figures = json.loads(json.dumps(figures, default=str))
     write_bytes(config.out / "figures.json", json.dumps(figures, indent=1).encode())
     write_png(config.out / "predictions.png", picture(drawn, windows, config.steps_ahead))
+    write_png(config.out / "strips.png", strips(drawn, windows))
     _report(console, figures, config.steps_ahead)
     return figures
 
@@ -194,12 +199,31 @@ def measure(
 def picture(
     drawn: NDArray[np.uint8], windows: Windows, steps_ahead: Sequence[int]
 ) -> NDArray[np.uint8]:
-    """Predictions beside the truth, a window a column: uint8 `[height, width, 3]`."""
-    shown = np.linspace(0, len(windows) - 1, min(_SHOWN, len(windows))).astype(np.int64)
+    """Predictions beside the truth, a window a column: uint8 `[height, width, 3]`.
+
+    Rows: the last frame seen, then the true and the predicted one for each of the steps ahead.
+    """
+    shown = _some(windows, _SHOWN)
     rows = [windows.start[shown]]
     for h in steps_ahead:
         rows += [windows.future[shown, h - 1], drawn[shown, h - 1]]
     return frame_grid(rows, zoom=2)
+
+
+def strips(drawn: NDArray[np.uint8], windows: Windows) -> NDArray[np.uint8]:
+    """Whole predictions, a step a column from the last frame seen on: uint8 `[height, width, 3]`.
+
+    Two rows a window: what happened, and what is predicted.
+    """
+    rows = []
+    for n in _some(windows, _STRIPS):
+        rows += [np.stack([windows.start[n], *future]) for future in (windows.future[n], drawn[n])]
+    return frame_grid(rows, zoom=2)
+
+
+def _some(windows: Windows, count: int) -> NDArray[np.int64]:
+    """Numbers of windows, spread evenly over all."""
+    return np.linspace(0, len(windows) - 1, min(count, len(windows))).astype(np.int64)
 
 
 def _misread(

@@ -218,7 +218,9 @@ def _row(report: Report, domain: Domain, method: str | None = None) -> Row:
     name = method or report.method
     kind = METHODS[name]
     if not kind.needs_dynamics:
-        return Row("", "", "", name, 0)
+        if kind.asks is None:
+            return Row("", "", "", name, 0)
+        return Row("", report.world.get("method", ""), report.kind, name, 0)
     preset = domain.presets.get(report.preset, domain.presets["default"])
     own = _relevant(dataclasses.asdict(preset.planning), name)
     settings = [report.preset] + [
@@ -231,6 +233,8 @@ def _row(report: Report, domain: Domain, method: str | None = None) -> Row:
     words = report.world["dynamics"]
     if kind.needs_generator:
         words += f" ({report.world['generator']})"
+    if kind.asks is not None:
+        words += f" ({report.world.get('method', kind.asks)})"
     subgoals = report.subgoals if kind.has_subgoals else 0
     return Row(", ".join(settings), words, report.kind, name, subgoals)
 

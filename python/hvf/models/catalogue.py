@@ -94,3 +94,69 @@ VAE = ModelEntry(
     recipe="hvf.training.recipes.vae:VAERecipe",
     assumes="nothing of a scene but the size of its images; all data is of one scene",
 )
+
+SV2P = ModelEntry(
+    about="The paper's dynamics: SV2P, stochastic variational video prediction.",
+    kind="video",
+    role="dynamics",
+    module="hvf.models.sv2p.model:SV2P",
+    plannable="hvf.worlds.video:world_of",
+    recipe="hvf.training.recipes.sv2p:SV2PRecipe",
+    assumes="nothing of a scene but the size of its images, which 8 divides",
+)
+
+SV2P_SMALL = ModelEntry(
+    about="SV2P with a quarter of its widths, for two cores.",
+    kind="video",
+    role="dynamics",
+    module="hvf.models.sv2p.model:SV2PSmall",
+    plannable="hvf.worlds.video:world_of",
+    recipe="hvf.training.recipes.sv2p:SV2PSmallRecipe",
+    assumes="what sv2p assumes",
+)
+
+TAP = ModelEntry(
+    about="Time-agnostic prediction: proposes an image between a start and a goal, without search.",
+    kind="video",
+    role="proposer",
+    module="hvf.models.tap:TAP",
+    plannable="hvf.worlds.images:proposer_of",
+    recipe="hvf.training.recipes.tap:TAPRecipe",
+    assumes="nothing of a scene but the size of its images",
+)
+
+TDM = ModelEntry(
+    about="The paper's temporal distance: tells images a few steps apart from others, as a cost.",
+    kind="video",
+    role="distance",
+    module="hvf.models.tdm:TDM",
+    plannable="hvf.worlds.distances:tdm_of",
+    recipe="hvf.training.recipes.tdm:TDMRecipe",
+    assumes="nothing of a scene but the size of its images",
+)
+
+RIG = ModelEntry(
+    about="A policy for goal images that learned by reaching for imagined ones, in a VAE's latent.",
+    kind="video",
+    role="policy",
+    module="hvf.models.rig:RIG",
+    plannable="hvf.worlds.policy:policy_of",
+    recipe="hvf.training.recipes.rig:RIGRecipe",
+    assumes=(
+        "nothing of a scene but the size of its images; that it may act in its domain while it "
+        "learns; goals are imagined for all scenes at once"
+    ),
+)
+
+LATENT = ModelEntry(
+    about="A general compact world model: states of a few dozen numbers, planned with in Rust.",
+    kind="video",
+    role="dynamics",
+    module="hvf.models.latent.model:LatentModel",
+    plannable="hvf.worlds.latent:world_of",
+    recipe="hvf.training.recipes.latent:LatentRecipe",
+    assumes=(
+        "nothing of a scene but the size of its images and actions; one frame tells all that "
+        "matters for the next ones; things smaller than its blur need not be told apart"
+    ),
+)

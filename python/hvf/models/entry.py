@@ -10,8 +10,9 @@ from typing import Any, Literal, TypeAlias
 
 from hvf.importing import imported
 
-Role: TypeAlias = Literal["dynamics", "generator", "distance"]
-"""What a model is good for: predicting frames, drawing subgoals, or measuring how far they are."""
+Role: TypeAlias = Literal["dynamics", "generator", "distance", "proposer", "policy"]
+"""What a model is good for: predicting frames, drawing subgoals to search among, measuring how far
+they are, proposing subgoals without a search, or acting without a plan."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,9 @@ class ModelEntry:
         plannable: makes what the planner wants of a loaded module: ``plannable(module, planning)``
             for dynamics gives a :class:`~hvf.protocols.WorldModel`; ``plannable(module, world)``
             for a generator a :class:`~hvf.protocols.SubgoalModel`, for a distance a
-            :class:`~hvf.protocols.WorldModel` around ``world`` (see :mod:`hvf.worlds.costs`).
+            :class:`~hvf.protocols.WorldModel` around ``world`` (see :mod:`hvf.worlds.costs`);
+            ``plannable(module)`` for a proposer a :class:`~hvf.protocols.Proposer`, for a policy
+            a :class:`~hvf.protocols.Policy`.
         recipe: its :class:`~hvf.training.recipe.Recipe`; None if it is not trained here.
         assumes: what it takes for granted about a scene, for the table of models.
         formerly: names that its class had in older checkpoints.

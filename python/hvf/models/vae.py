@@ -11,14 +11,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import ClassVar, cast
 
 import torch
 import torch.nn.functional as F
 from torch import nn
 
-from hvf.models.frames import to_unit
+from hvf.models.convolutions import (
+    INPUT_SCALE,
+    decoder_of,
+    encoder_of,
+    fully_connected,
+    initialise_after_he,
+    initialise_as_sonnet,
+)
+from hvf.models.frames import mean_image, to_unit
 from hvf.models.vae_config import (
     BAIR_CVAE,
     DESK_VAE,
@@ -39,8 +46,6 @@ __all__ = [
     "pyramid_loss",
 ]
 
-# Differences to the mean image are about a quarter where there is something.
-_INPUT_SCALE = 4.0
 # Added to the variance under the logarithm, which a rectified standard deviation may make 0.
 _LEAST_VARIANCE = 1e-5
 
@@ -58,34 +63,22 @@ class CVAE(nn.Module):
     def __init__(self, config: CVAEConfig) -> None:
         super().__init__()
         self.config = config
-        sizes, widths = config.sizes, (3, *config.channels)
-        padding = 1 if config.padding == "same" else 0
+        sizes, padding = config.sizes, config.padding
         self._spatial = (config.channels[-1], *sizes[-1])
         features = math.prod(self._spatial)
 
-        encoder: list[nn.Module] = []
-        decoder: list[nn.Module] = []
-        for i, stride in enumerate(config.strides):
-            encoder += [nn.Conv2d(widths[i], widths[i + 1], 3, stride, padding=padding), nn.ReLU()]
-            # Pixels that the transposed convolution alone would not give back.
-            extra = (
-                sizes[i][0] - 3 + 2 * padding - (sizes[i + 1][0] - 1) * stride,
-                sizes[i][1] - 3 + 2 * padding - (sizes[i + 1][1] - 1) * stride,
-            )
-            up = nn.ConvTranspose2d(
-                widths[i + 1], widths[i], 3, stride, padding=padding, output_padding=extra
-            )
-            decoder = [nn.ReLU(), up, *decoder]
-        self.encoder = nn.Sequential(*(encoder if config.activate_final else encoder[:-1]))
-        self.decoder = nn.Sequential(*decoder[1:])  # it starts from features that are not rectified
+        self.encoder = encoder_of(
+            config.channels, config.strides, padding, activate_final=config.activate_final
+        )
+        self.decoder = decoder_of(config.channels, config.strides, padding, sizes)
         images = 2 if config.conditional else 1
-        self.posterior = _fully_connected(
+        self.posterior = fully_connected(
             images * features, *config.posterior_layers, 2 * config.latent_dim
         )
         scene = config.scene_layers[-1] if config.conditional else 0
         if config.conditional:
-            self.scene = _fully_connected(features, *config.scene_layers)
-        self.image = _fully_connected(config.latent_dim + scene, *config.image_layers, features)
+            self.scene = fully_connected(features, *config.scene_layers)
+        self.image = fully_connected(config.latent_dim + scene, *config.image_layers, features)
         if not config.activate_final and config.image_layers:
             del self.image[-2]
         if config.centred:
@@ -105,17 +98,7 @@ class CVAE(nn.Module):
         """
         if not self.config.centred:
             raise ValueError("centre: the config says that images are taken as they are")
-        if frames.dtype != torch.uint8:
-            raise TypeError(f"frames must be uint8, got {frames.dtype}")
-        if frames.ndim != 4 or frames.shape[1:] != (*self.config.image_size, 3) or not len(frames):
-            raise ValueError(
-                f"frames must be [N, {self.config.image_size[0]}, {self.config.image_size[1]}, 3], "
-                f"got {tuple(frames.shape)}"
-            )
-        total = torch.zeros(frames.shape[1:], dtype=torch.float64)
-        for first in range(0, len(frames), 256):
-            total += frames[first : first + 256].sum(0, dtype=torch.float64)
-        self.mean_image.copy_((total / len(frames) / 255).permute(2, 0, 1))
+        self.mean_image.copy_(mean_image(frames, self.config.image_size))
         return self
 
     def encode(
@@ -219,16 +202,7 @@ class CVAE(nn.Module):
         if self.config.initialisation == "he":
             self._initialise_he()
             return
-        # The default of the library that the released code was written with (Sonnet 1).
-        for module in self.modules():
-            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
-                inputs = float(module.weight[0].numel())
-                if isinstance(module, nn.ConvTranspose2d):
-                    inputs = module.weight.shape[0] * 9
-                std = 1 / math.sqrt(inputs)
-                nn.init.trunc_normal_(module.weight, std=std, a=-2 * std, b=2 * std)
-                if module.bias is not None:
-                    nn.init.zeros_(module.bias)
+        initialise_as_sonnet(self)
 
     def _initialise_he(self) -> None:
         """Keep the variance through rectified layers (He et al., 2015), and begin nearly noiseless.
@@ -236,14 +210,7 @@ class CVAE(nn.Module):
         With torch's default the signal fades over ten layers, and with a variance of 1 it drowns in
         the posterior's noise: the decoder learns to ignore the latent before it carries anything.
         """
-        for module in self.modules():
-            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
-                inputs = float(module.weight[0].numel())
-                if isinstance(module, nn.ConvTranspose2d):
-                    inputs = module.weight.shape[0] * 9 / module.stride[0] ** 2
-                nn.init.normal_(module.weight, std=math.sqrt(2 / inputs))
-                if module.bias is not None:
-                    nn.init.zeros_(module.bias)
+        initialise_after_he(self)
         posterior, last = cast(nn.Linear, self.posterior[-1]), self.decoder[-1]
         with torch.no_grad():
             posterior.weight[self.config.latent_dim :] *= 0.1
@@ -252,7 +219,7 @@ class CVAE(nn.Module):
 
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
         if self.config.centred:
-            images = (images - self.mean_image) * _INPUT_SCALE
+            images = (images - self.mean_image) * INPUT_SCALE
         features: torch.Tensor = self.encoder(images)
         return features
 
@@ -317,11 +284,3 @@ def pyramid_loss(prediction: torch.Tensor, image: torch.Tensor, levels: int) -> 
         difference = F.avg_pool2d(difference, 2, ceil_mode=True, count_include_pad=False)
         total = total + difference.square().sum() * 8.0**level
     return total / len(image)
-
-
-def _fully_connected(*widths: int) -> nn.Sequential:
-    """Linear layers of these widths with ReLU between them."""
-    layers: list[nn.Module] = []
-    for inputs, outputs in pairwise(widths):
-        layers += [nn.Linear(inputs, outputs), nn.ReLU()]
-    return nn.Sequential(*layers[:-1])

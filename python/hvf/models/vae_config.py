@@ -27,7 +27,8 @@ training                Adam, 1e-4, constant; batches of 256    Adam, 1e-3, warm
 In both, pairs are two frames of one episode at random times and features of the scene are added
 to the decoder's, as in the released code; the paper's text has the scene's first frame in the
 pairs, and concatenates the features. The code of the desk's VAE and of BAIR's CVAE was not
-released: ``PAPER_VAE`` takes over what is above.
+released: ``PAPER_VAE`` takes over what is above. ``RIG_VAE`` is that of another paper, whose policy
+is a baseline (:mod:`hvf.models.rig`).
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ from __future__ import annotations
 import dataclasses
 import math
 from typing import Literal
+
+from hvf.models.convolutions import Padding, sizes_after
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +88,7 @@ class CVAEConfig:
     kl_weight: float = 5.0
     kl_start: float = 0.05
     kl_steps: int = 2_000
-    padding: Literal["same", "valid"] = "same"
+    padding: Padding = "same"
     posterior: Literal["log-variance", "relu-std"] = "log-variance"
     centred: bool = True
     activate_final: bool = True
@@ -141,13 +144,7 @@ class CVAEConfig:
     @property
     def sizes(self) -> list[tuple[int, int]]:
         """Height and width of the image, and after each convolution of the encoder."""
-        sizes = [self.image_size]
-        # A window of 3 pixels begins on every stride-th pixel, of all or of those where it fits.
-        lost = 0 if self.padding == "same" else 2
-        for stride in self.strides:
-            height, width = sizes[-1]
-            sizes.append((-(-(height - lost) // stride), -(-(width - lost) // stride)))
-        return sizes
+        return sizes_after(self.image_size, self.strides, self.padding)
 
     def kl_weight_at(self, step: int) -> float:
         """Weight of the KL divergence at a training step."""
@@ -191,3 +188,18 @@ PAPER_VAE = dataclasses.replace(
     scene_layers=(),
     image_layers=DESK_VAE.image_layers,
 )
+RIG_VAE = CVAEConfig(
+    conditional=False,
+    latent_dim=4,
+    posterior_layers=(),
+    scene_layers=(),
+    image_layers=(),
+    pyramid_levels=0,
+    pyramid_weight=0.0,
+    kl_weight=10 / 128,
+    kl_start=10 / 128,
+    kl_steps=0,
+    centred=False,
+)
+"""The VAE that RIG sees with: latent, loss and weight of the KL divergence as in rlkit's
+``examples/rig/pusher/rig.py``. The convolutions are ours: rlkit's are for images of 48 and 84."""

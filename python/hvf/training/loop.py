@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ from hvf.training.state import TrainingState, load_state, save_state
 
 __all__ = [
     "Batch",
+    "Interactive",
     "LoopConfig",
     "Sampler",
     "Trainable",
@@ -46,6 +47,27 @@ class Sampler(Protocol):
         """The batch of training step ``step``: CPU tensors, a function of ``step`` alone.
 
         Called from one background thread, one batch ahead.
+        """
+        ...
+
+
+@runtime_checkable
+class Interactive(Sampler, Protocol):
+    """A sampler whose batches depend on the model in training, such as one that acts by it.
+
+    :meth:`Sampler.batch` is called between steps, in order, and not ahead. What it goes on from is
+    kept with the run.
+    """
+
+    def memory(self) -> Mapping[str, torch.Tensor]:
+        """Return what the batches to come depend on beside the model: CPU tensors."""
+        ...
+
+    def recall(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Go on from what :meth:`memory` returned, in this run or another one.
+
+        Raises:
+            ValueError: tensors that are not this sampler's.
         """
         ...
 
@@ -83,6 +105,8 @@ class LoopConfig:
         warmup_steps: steps over which the learning rate rises linearly from 0.
         weight_decay: decoupled (AdamW) if positive.
         clip_norm: gradients are scaled down to this L2 norm; 0 for no limit.
+        betas: decay of Adam's running means of gradients and of their squares.
+        eps: Adam's, added to the root of the latter.
         seed: of the weights, the batches and the noise.
         device: ``auto`` takes CUDA where there is one.
         precision: ``auto`` is bfloat16 autocast on CUDA and float32 on the CPU.
@@ -99,6 +123,8 @@ class LoopConfig:
     warmup_steps: int = 0
     weight_decay: float = 0.0
     clip_norm: float = 0.0
+    betas: tuple[float, float] = (0.9, 0.999)
+    eps: float = 1e-8
     seed: int = 0
     device: Literal["auto", "cpu", "cuda"] = "auto"
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
@@ -117,6 +143,10 @@ class LoopConfig:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
         if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
             raise ValueError(f"learning_rate must be positive, got {self.learning_rate}")
+        if len(self.betas) != 2 or not all(0 <= beta < 1 for beta in self.betas):
+            raise ValueError(f"betas must be two numbers from 0 to below 1, got {self.betas}")
+        if not (math.isfinite(self.eps) and self.eps > 0):
+            raise ValueError(f"eps must be positive, got {self.eps}")
 
     def rate(self, step: int) -> float:
         """The learning rate at ``step``."""
@@ -143,6 +173,9 @@ class LoopConfig:
 # May differ between the run that wrote a checkpoint and the one that resumes it: they change what
 # is reported and when, not what is computed.
 _FREE_ON_RESUME = ("device", "threads", "log_every", "validate_every", "checkpoint_every")
+# Settings that came later go without saying where they are what had gone without saying: runs of
+# before are still the same runs.
+_UNSAID = {"betas": (0.9, 0.999), "eps": 1e-8}
 
 ModelT = TypeVar("ModelT", bound=torch.nn.Module)
 
@@ -205,10 +238,12 @@ def train(
     optimiser = torch.optim.AdamW(
         [weights for weights in model.parameters() if weights.requires_grad],
         lr=config.learning_rate,
+        betas=config.betas,
+        eps=config.eps,
         weight_decay=config.weight_decay,
         fused=True,
     )
-    state = TrainingState(model, optimiser)
+    state = TrainingState(model, optimiser, sampler if isinstance(sampler, Interactive) else None)
     first = load_state(out / "training.safetensors", state, identity)
     if first >= config.steps:
         console.print(f"{out}: already trained for {first} steps")
@@ -337,7 +372,7 @@ def _identity(
     fixed = {
         name: value
         for name, value in dataclasses.asdict(config).items()
-        if name not in _FREE_ON_RESUME
+        if name not in _FREE_ON_RESUME and not (name in _UNSAID and value == _UNSAID[name])
     }
     identity = {
         "model": type(model).__name__,
@@ -361,13 +396,15 @@ def _threads(count: int) -> Iterator[None]:
 
 
 class _Prefetch:
-    """Draws the next batch in a thread while the model works on this one."""
+    """Draws the next batch in a thread while the model works on this one, if it may."""
 
     def __init__(self, sampler: Sampler, first: int, steps: int) -> None:
         self._sampler = sampler
         self._steps = steps
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="batches")
-        self._next: Future[Batch] = self._pool.submit(sampler.batch, first)
+        self._next: Future[Batch] | None = None
+        if not isinstance(sampler, Interactive):
+            self._next = self._pool.submit(sampler.batch, first)
 
     def __enter__(self) -> _Prefetch:
         return self
@@ -376,6 +413,8 @@ class _Prefetch:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def take(self, step: int) -> Batch:
+        if self._next is None:
+            return self._sampler.batch(step)
         batch = self._next.result()
         if step + 1 < self._steps:
             self._next = self._pool.submit(self._sampler.batch, step + 1)

@@ -1,6 +1,7 @@
 """What a run needs to go on after it was stopped: weights, optimiser and step, in safetensors.
 
-Batches and noise are functions of (seed, step), so there is no generator to keep. What is fitted
+Batches and noise are functions of (seed, step), so there is no generator to keep; a sampler whose
+batches are not says what it remembers. What is fitted
 without gradient before a training, or after it, is kept too (:func:`fitted`).
 """
 
@@ -10,7 +11,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import torch
 
@@ -22,12 +23,25 @@ FITTED = "hvf-fitted-1"
 ModelT = TypeVar("ModelT", bound=torch.nn.Module)
 
 
+class Remembering(Protocol):
+    """What has a memory of its own (:class:`hvf.training.loop.Interactive`)."""
+
+    def memory(self) -> Mapping[str, torch.Tensor]:
+        """Return it."""
+        ...
+
+    def recall(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Take it over."""
+        ...
+
+
 @dataclasses.dataclass(frozen=True)
 class TrainingState:
-    """A model and the optimiser that moves it."""
+    """A model, the optimiser that moves it, and a sampler with a memory, if it has one."""
 
     model: torch.nn.Module
     optimiser: torch.optim.Optimizer
+    sampler: Remembering | None = None
 
 
 def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any], step: int) -> None:
@@ -46,6 +60,8 @@ def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any], st
     for name, weights in state.model.named_parameters():
         for key, value in state.optimiser.state.get(weights, {}).items():
             tensors[f"optimiser.{key}.{name}"] = torch.as_tensor(value)
+    if state.sampler is not None:
+        tensors |= {f"sampler.{name}": value for name, value in state.sampler.memory().items()}
     header = {"format": FORMAT, "identity": json.dumps(identity), "step": str(step)}
     write_tensors(path, tensors, header)
 
@@ -133,6 +149,14 @@ def _restore(path: Path, state: TrainingState, tensors: Mapping[str, torch.Tenso
                 raise ValueError(f"{path}: the optimiser's {key} of {name} has another shape")
         if kept:
             state.optimiser.state[parameter] = kept
+    if state.sampler is not None:
+        memory = {name[8:]: value for name, value in tensors.items() if name[:8] == "sampler."}
+        try:
+            state.sampler.recall(memory)
+        except KeyError as error:
+            raise ValueError(f"{path}: lacks {error} of the sampler's memory") from error
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
 
 
 def _difference(found: Any, wanted: Any, name: str = "") -> str:

@@ -42,7 +42,12 @@ LATENT = Cost(
     "cvae",
 )
 TEMPORAL = Cost(
-    "learned distance in steps of random play",
+    "learned distance in steps of random play, of keypoints",
     "hvf.worlds.distances:temporal_world",
     "temporal-distance",
+)
+TDM = Cost(
+    "how likely the predicted frame and the goal image are many steps apart (the paper's)",
+    "hvf.worlds.distances:tdm_world",
+    "tdm",
 )

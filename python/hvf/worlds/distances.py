@@ -1,12 +1,15 @@
-"""Other planning costs than pixels: distance in a VAE's latent, and learned temporal distance.
+"""Other planning costs than pixels: distances that a learned model measures.
 
-Rollouts stay in Rust; the distance is a torch model that is asked once for all candidates of all
-problems. Both are slower than the pixel cost, which has a closed form: the temporal distance by
-about an order of magnitude, the latent cost, which has to draw and encode frames, by three.
+The distance is a torch model that is asked once for all candidates of a problem. Those between
+images go with any world that draws what it predicts; the temporal distance of keypoints needs
+none drawn, with rollouts in Rust. All are slower than the pixel cost, which the keypoint world has
+a closed form of: the keypoints' distance by about an order of magnitude, those that have to draw
+and encode frames by three.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,9 +19,10 @@ from torch import Tensor
 
 import hvf_core
 from hvf.models.frames import to_unit
+from hvf.models.tdm import TDM
 from hvf.models.temporal_distance import TemporalDistance
 from hvf.models.vae import CVAE
-from hvf.protocols import WorldModel
+from hvf.protocols import Remembering, WorldModel
 from hvf.settings import OverHorizon, Planning
 from hvf.worlds.keypoint import KeypointWorld
 from hvf.worlds.threads import one_thread
@@ -27,69 +31,155 @@ from hvf.worlds.world import Around
 _AT_ONCE = 512
 
 
-class Distance(Protocol):
-    """How far predicted frames are from goals."""
+class ImageDistance(Protocol):
+    """How far predicted images are from a goal."""
 
-    def __call__(
-        self, starts: hvf_core.KeypointFrames, goals: hvf_core.KeypointFrames, path: Tensor
-    ) -> Tensor:
-        """Distances `[B, D, H]` of predicted keypoints `path [B, D, H, 2]` to `goals [B]`."""
+    @property
+    def device(self) -> torch.device:
+        """Where it wants its images."""
+        ...
+
+    def __call__(self, images: Tensor, goal: Tensor, start: Tensor) -> Tensor:
+        """Distances ``[N]`` of ``images [N, 3, H, W]`` to one ``goal [1, 3, H, W]``.
+
+        ``start [1, 3, H, W]`` is what they were predicted from. All are in [0, 1].
+        """
         ...
 
 
 class LatentDistance:
-    """Squared distance between the latents of drawn frames and goal (means of the posterior)."""
+    """Squared distance between latents of a VAE or CVAE (means of the posterior).
 
-    def __init__(self, cvae: CVAE, world: KeypointWorld) -> None:
+    A conditional one encodes in the scene of the start.
+    """
+
+    def __init__(self, cvae: CVAE) -> None:
         self.cvae = cvae.eval()
-        self.dynamics = world.dynamics
+        self.device = next(cvae.parameters()).device
 
-    def __call__(
-        self, starts: hvf_core.KeypointFrames, goals: hvf_core.KeypointFrames, path: Tensor
-    ) -> Tensor:
-        """Distances; see :class:`Distance`."""
-        first = to_unit(torch.from_numpy(starts.images))
-        aim, _ = self.cvae.encode(to_unit(torch.from_numpy(goals.images)), first)
-        before = torch.from_numpy(starts.keypoints)
-        flat = path.reshape(-1, 2)
-        owner = torch.arange(len(path)).repeat_interleave(path.shape[1] * path.shape[2])
-        parts = []
-        for after, b in zip(torch.split(flat, _AT_ONCE), torch.split(owner, _AT_ONCE), strict=True):
-            drawn = self.dynamics.draw(first[b], before[b], after).clamp(0, 1)
-            latent, _ = self.cvae.encode(drawn, first[b])
-            parts.append((latent - aim[b]).square().sum(dim=1))
-        return torch.cat(parts).reshape(path.shape[:3])
+    def __call__(self, images: Tensor, goal: Tensor, start: Tensor) -> Tensor:
+        """Distances; see :class:`ImageDistance`."""
+        return (self._encode(images, start) - self._encode(goal, start)).square().sum(dim=1)
+
+    def _encode(self, images: Tensor, scene: Tensor) -> Tensor:
+        """Means of the posterior, `[N, L]`."""
+        given = scene.expand(len(images), -1, -1, -1) if self.cvae.config.conditional else None
+        return self.cvae.encode(images, given)[0]
 
 
-class StepsDistance:
-    """Learned temporal distance from predicted keypoints to that of the goal."""
+class FarDistance:
+    """How likely the paper's temporal distance takes an image and the goal to be far apart."""
 
-    def __init__(self, model: TemporalDistance) -> None:
-        self.model = model.eval()
+    def __init__(self, tdm: TDM) -> None:
+        self.tdm = tdm.eval()
+        self.device = next(tdm.parameters()).device
 
-    def __call__(
-        self, starts: hvf_core.KeypointFrames, goals: hvf_core.KeypointFrames, path: Tensor
-    ) -> Tensor:
-        """Distances; see :class:`Distance`."""
-        shape = path.shape[:3]
-        codes = self.model.code(torch.from_numpy(starts.maps))[:, None, None].expand(*shape, -1)
-        aim = torch.from_numpy(goals.keypoints)[:, None, None].expand(*shape, -1)
-        distance: Tensor = self.model(path, aim, codes)
-        return distance
+    def __call__(self, images: Tensor, goal: Tensor, start: Tensor) -> Tensor:
+        """Distances; see :class:`ImageDistance`."""
+        far: Tensor = self.tdm(images, goal.expand(len(images), -1, -1, -1))
+        return far
 
 
-class DistanceWorld(Around):
-    """The compact dynamics model with a distance as its planning cost.
+class ImageDistanceWorld(Around):
+    """Any world that draws what it predicts, with a distance between images as its cost.
 
     Args:
-        world: rolls out.
-        distance: what a predicted frame costs.
+        world: has ``observe(images)``, frames with ``images``, and ``predict(frames[N],
+            actions[N, H, A])`` that gives uint8 ``[N, H, S, S, 3]``; or, in its place,
+            ``drawn(frames[N], actions[N, H, A], last)`` that gives float ``[N, H, 3, S, S]``, only
+            the last step's if ``last``. If it ``uses_seeds``, the two take ``seeds [N]``, too.
+        distance: of predicted images to the goal.
         over_horizon: whether the last predicted frame counts, their sum, or their minimum.
     """
 
-    def __init__(self, world: KeypointWorld, distance: Distance, over_horizon: OverHorizon) -> None:
+    def __init__(self, world: Any, distance: ImageDistance, over_horizon: OverHorizon) -> None:
         self.world = world
         self.distance = distance
+        self.over_horizon = over_horizon
+
+    @property
+    def inner(self) -> Any:
+        """The world that predicts."""
+        return self.world
+
+    def observe(self, images: NDArray[np.uint8]) -> Any:
+        """Frames of uint8 `images [N, S, S, 3]`."""
+        return self.world.observe(images)
+
+    @property
+    def uses_seeds(self) -> bool:
+        """Whether candidates have noise of their own: whether they do in the world inside."""
+        return bool(getattr(self.world, "uses_seeds", False))
+
+    def rollout_costs(
+        self,
+        starts: Any,
+        goals: Any,
+        actions: NDArray[np.float32],
+        seeds: NDArray[np.int64] | None = None,
+    ) -> NDArray[np.float32]:
+        """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`, with `seeds [B, D]`."""
+        count, candidates = actions.shape[:2]
+        costs = np.empty((count, candidates), np.float32)
+        for b in range(count):
+            one = np.array([b])
+            start, goal = (self._unit(frames[one].images) for frames in (starts, goals))
+            noise = {} if seeds is None else {"seeds": seeds[b]}
+            seen = self._predicted(starts[np.repeat(one, candidates)], actions[b], noise)
+            with one_thread():
+                parts = [
+                    self.distance(to_unit(part) if part.dtype == torch.uint8 else part, goal, start)
+                    for part in torch.split(seen.flatten(0, 1), _AT_ONCE)
+                ]
+                apart = torch.cat(parts).reshape(candidates, -1)
+                total = apart.amin(dim=1) if self.over_horizon == "min" else apart.sum(dim=1)
+            costs[b] = total.cpu().numpy()
+        return costs
+
+    def _predicted(
+        self, starts: Any, actions: NDArray[np.float32], noise: Mapping[str, NDArray[np.int64]]
+    ) -> Tensor:
+        """Images that count, ``[N, H or 1, ...]``: uint8 ``[H, W, 3]`` or float ``[3, H, W]``."""
+        last = self.over_horizon == "last"
+        if hasattr(self.world, "drawn"):
+            drawn: Tensor = self.world.drawn(starts, actions, last, **noise).clamp(0, 1)
+            return drawn.to(self.distance.device)
+        seen = self.world.predict(starts, actions, **noise)
+        seen = np.ascontiguousarray(seen[:, -1:] if last else seen)
+        return torch.from_numpy(seen).to(self.distance.device)
+
+    def _unit(self, images: NDArray[np.uint8]) -> Tensor:
+        return to_unit(torch.from_numpy(np.ascontiguousarray(images)).to(self.distance.device))
+
+
+class RememberingDistanceWorld(ImageDistanceWorld):
+    """The same around a world with context (:class:`~hvf.protocols.Remembering`)."""
+
+    @property
+    def context(self) -> int:
+        """Frames that the world inside wants."""
+        context: int = self.world.context
+        return context
+
+    def observe_history(self, images: NDArray[np.uint8], actions: NDArray[np.float32]) -> Any:
+        """Frames to start from, `[N]`, as the world inside makes them."""
+        return self.world.observe_history(images, actions)
+
+
+class KeypointDistanceWorld(Around):
+    """The compact dynamics model, with learned temporal distance of keypoints as its cost.
+
+    Args:
+        world: rolls out.
+        model: the distance.
+        over_horizon: whether the last predicted frame counts, their sum, or their minimum.
+    """
+
+    def __init__(
+        self, world: KeypointWorld, model: TemporalDistance, over_horizon: OverHorizon
+    ) -> None:
+        self.world = world
+        self.model = model.eval()
         self.over_horizon = over_horizon
 
     @property
@@ -112,61 +202,20 @@ class DistanceWorld(Around):
         if self.over_horizon == "last":
             path = path[:, :, -1:]
         with one_thread():
-            costs = self.distance(starts, goals, path)
+            costs = self.distances(starts, goals, path)
             total = costs.amin(dim=2) if self.over_horizon == "min" else costs.sum(dim=2)
         result: NDArray[np.float32] = total.numpy()
         return result
 
-
-class LatentWorld(Around):
-    """Any world that draws what it predicts, with distance in a VAE's latent as its cost.
-
-    Args:
-        world: has ``observe(images)``, frames with ``images``, and ``predict(frames[N],
-            actions[N, H, A])`` that gives uint8 ``[N, H, S, S, 3]``.
-        cvae: encodes goals and predicted frames; a conditional one in the scene of the start.
-        over_horizon: whether the last predicted frame counts, their sum, or their minimum.
-    """
-
-    def __init__(self, world: Any, cvae: CVAE, over_horizon: OverHorizon) -> None:
-        self.world = world
-        self.cvae = cvae.eval()
-        self.over_horizon = over_horizon
-
-    @property
-    def inner(self) -> Any:
-        """The world that predicts."""
-        return self.world
-
-    def observe(self, images: NDArray[np.uint8]) -> Any:
-        """Frames of uint8 `images [N, S, S, 3]`."""
-        return self.world.observe(images)
-
-    def rollout_costs(
-        self, starts: Any, goals: Any, actions: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
-        count, candidates = actions.shape[:2]
-        costs = np.empty((count, candidates), np.float32)
-        for b in range(count):
-            one = np.array([b])
-            scene = to_unit(torch.from_numpy(np.ascontiguousarray(starts[one].images)))
-            drawn = self.world.predict(starts[np.repeat(one, candidates)], actions[b])
-            seen = drawn[:, -1:] if self.over_horizon == "last" else drawn
-            goal = to_unit(torch.from_numpy(np.ascontiguousarray(goals[one].images)))
-            with one_thread():
-                aim = self._encode(goal, scene)
-                flat = torch.from_numpy(np.ascontiguousarray(seen)).flatten(0, 1)
-                parts = [self._encode(to_unit(part), scene) for part in torch.split(flat, _AT_ONCE)]
-                apart = (torch.cat(parts) - aim).square().sum(dim=1).reshape(candidates, -1)
-            total = apart.amin(dim=1) if self.over_horizon == "min" else apart.sum(dim=1)
-            costs[b] = total.numpy()
-        return costs
-
-    def _encode(self, images: Tensor, scene: Tensor) -> Tensor:
-        """Means of the posterior, `[N, L]`."""
-        given = scene.expand(len(images), -1, -1, -1) if self.cvae.config.conditional else None
-        return self.cvae.encode(images, given)[0]
+    def distances(
+        self, starts: hvf_core.KeypointFrames, goals: hvf_core.KeypointFrames, path: Tensor
+    ) -> Tensor:
+        """Distances `[B, D, H]` of predicted keypoints `path [B, D, H, 2]` to `goals [B]`."""
+        shape = path.shape[:3]
+        codes = self.model.code(torch.from_numpy(starts.maps))[:, None, None].expand(*shape, -1)
+        aim = torch.from_numpy(goals.keypoints)[:, None, None].expand(*shape, -1)
+        distance: Tensor = self.model(path, aim, codes)
+        return distance
 
 
 def latent_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
@@ -177,13 +226,23 @@ def latent_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
     """
     if not isinstance(model, CVAE):
         raise ValueError(f"cost: 'latent' needs a cvae or vae, got {type(model).__name__}")
-    if isinstance(world, KeypointWorld):
-        distance = LatentDistance(model, world)
-        return DistanceWorld(world, distance, planning.over_horizon)
-    if not hasattr(world, "predict") or not hasattr(world, "observe"):
-        kind = type(world).__name__
-        raise ValueError(f"cost: 'latent' needs dynamics that draw frames, got {kind}")
-    return LatentWorld(world, model, planning.over_horizon)
+    return _measured("latent", world, LatentDistance(model), planning)
+
+
+def tdm_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
+    """A world whose cost is the paper's temporal distance.
+
+    Raises:
+        ValueError: a world that does not draw what it predicts, or another model.
+    """
+    if not isinstance(model, TDM):
+        raise ValueError(f"cost: 'tdm' needs a tdm model, got {type(model).__name__}")
+    return _measured("tdm", world, FarDistance(model), planning)
+
+
+def tdm_of(model: TDM, world: Any) -> WorldModel[Any]:
+    """A world with this cost and no other settings; see :func:`tdm_world`."""
+    return tdm_world(world, model, Planning())
 
 
 def temporal_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
@@ -199,9 +258,26 @@ def temporal_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any
     if not isinstance(world, KeypointWorld):
         kind = type(world).__name__
         raise ValueError(f"cost: 'temporal' needs keypoint dynamics, got {kind}")
-    return DistanceWorld(world, StepsDistance(model), planning.over_horizon)
+    return KeypointDistanceWorld(world, model, planning.over_horizon)
 
 
 def temporal_of(model: TemporalDistance, world: Any) -> WorldModel[Any]:
     """A keypoint world with this cost and no other settings; see :func:`temporal_world`."""
     return temporal_world(world, model, Planning())
+
+
+def _measured(
+    cost: str, world: Any, distance: ImageDistance, planning: Planning
+) -> WorldModel[Any]:
+    """A world with a distance between images as its cost.
+
+    Raises:
+        ValueError: a world that draws nothing.
+    """
+    draws = hasattr(world, "predict") or hasattr(world, "drawn")
+    if not draws or not hasattr(world, "observe"):
+        kind = type(world).__name__
+        raise ValueError(f"cost: {cost!r} needs dynamics that draw frames, got {kind}")
+    remembers = isinstance(world, Remembering)
+    made = RememberingDistanceWorld if remembers else ImageDistanceWorld
+    return made(world, distance, planning.over_horizon)

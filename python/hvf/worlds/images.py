@@ -1,4 +1,4 @@
-"""Generators of images as the planner wants them: subgoals for any world that observes images."""
+"""Models of images as agents want them: subgoals for any world that observes images."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from hvf.models.frames import to_frames, to_unit
+from hvf.models.tap import TAP
 from hvf.models.vae import CVAE
 from hvf.worlds.threads import one_thread
 
@@ -49,6 +50,44 @@ class ImageSubgoals:
             start = to_unit(torch.from_numpy(seen).to(self._device)) if conditional else None
             images = self.cvae.decode(flat.to(self._device), start)
         return to_frames(images).cpu().numpy()
+
+
+class ImageProposer:
+    """Subgoals proposed by time-agnostic prediction (`hvf.protocols.Proposer`).
+
+    One is the image between start and goal; of several, each one is the image between the start
+    and the one after it: ``m = TAP(s, g)``, and for two ``[TAP(s, m), m]`` as in the paper, and so
+    on, which the paper does not do.
+    """
+
+    def __init__(self, tap: TAP) -> None:
+        self.tap = tap.eval()
+        self._device = next(tap.parameters()).device
+
+    def propose(
+        self, start: NDArray[np.uint8], goal: NDArray[np.uint8], count: int
+    ) -> NDArray[np.uint8]:
+        """Images uint8 `[count, H, W, 3]` between `start` and `goal [H, W, 3]`, in order.
+
+        Raises:
+            ValueError: images of another size than the model's.
+        """
+        with one_thread():
+            first, later = (
+                to_unit(torch.from_numpy(np.ascontiguousarray(image))[None].to(self._device))
+                for image in (start, goal)
+            )
+            found = []
+            for _ in range(count):
+                image = to_frames(self.tap(first, later))
+                found.append(image[0].cpu().numpy())
+                later = to_unit(image)
+        return np.stack(found[::-1]) if found else start[None][:0]
+
+
+def proposer_of(tap: TAP) -> ImageProposer:
+    """What a trained TAP is good for."""
+    return ImageProposer(tap)
 
 
 def subgoals_of(cvae: CVAE, world: object) -> ImageSubgoals:

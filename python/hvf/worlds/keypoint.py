@@ -30,9 +30,6 @@ class KeypointWorld(Around):
         blur: standard deviation in pixels of the Gaussian blur through which predicted frames and
             goals are compared; 0 for none.
         over_horizon: whether the last predicted frame counts, their sum, or their minimum.
-
-    Attributes:
-        native: the `hvf_core.KeypointWorld` that the planner runs without the GIL.
     """
 
     def __init__(
@@ -44,7 +41,7 @@ class KeypointWorld(Around):
             name: tensor.detach().cpu().numpy() for name, tensor in dynamics.state_dict().items()
         }
         limit = np.full(config.action_dim, config.action_scale, np.float32)
-        self.native = hvf_core.KeypointWorld(
+        self._native = hvf_core.KeypointWorld(
             patch=weights["cell.patch.weight"],
             patch_bias=weights["cell.patch.bias"],
             context=weights["cell.context.weight"],
@@ -65,6 +62,11 @@ class KeypointWorld(Around):
             blur=blur,
             over_horizon=over_horizon,
         )
+
+    @property
+    def native(self) -> hvf_core.KeypointWorld:
+        """What the planner runs without the GIL, and what the methods here speak for."""
+        return self._native
 
     @property
     def inner(self) -> Any:
@@ -101,13 +103,23 @@ class KeypointWorld(Around):
         self, starts: hvf_core.KeypointFrames, actions: NDArray[np.float32]
     ) -> NDArray[np.uint8]:
         """Predicted frames uint8 `[N, H, S, S, 3]` for `actions [N, H, A]`, to look at."""
+        drawn = self.drawn(starts, actions)
+        shape = (*drawn.shape[:2], *starts.images.shape[1:])
+        return to_frames(drawn.flatten(0, 1)).numpy().reshape(shape)
+
+    def drawn(
+        self, starts: hvf_core.KeypointFrames, actions: NDArray[np.float32], last: bool = False
+    ) -> torch.Tensor:
+        """Predicted images, about in [0, 1], float `[N, H, 3, S, S]`; or the `last` ones only."""
         path = self.native.rollout(starts, np.ascontiguousarray(actions[:, None]))[:, 0]
+        path = path[:, -1:] if last else path
         count, horizon = path.shape[:2]
         images = to_unit(torch.from_numpy(starts.images)).repeat_interleave(horizon, dim=0)
         before = torch.from_numpy(starts.keypoints).repeat_interleave(horizon, dim=0)
         with one_thread():
-            drawn = self.dynamics.draw(images, before, torch.from_numpy(path).flatten(0, 1))
-        return to_frames(drawn).numpy().reshape(count, horizon, *starts.images.shape[1:])
+            points = torch.from_numpy(np.ascontiguousarray(path)).flatten(0, 1)
+            drawn: torch.Tensor = self.dynamics.draw(images, before, points)
+        return drawn.reshape(count, horizon, *drawn.shape[1:])
 
 
 class KeypointSubgoals:

@@ -31,9 +31,6 @@ class LayerWorld(Around):
         blur: standard deviation in pixels of the Gaussian blur through which predicted frames and
             goals are compared; 0 for none.
         over_horizon: whether the last predicted frame counts, their sum, or their minimum.
-
-    Attributes:
-        native: the `hvf_core.LayerWorld` that the planner runs without the GIL.
     """
 
     def __init__(
@@ -43,7 +40,7 @@ class LayerWorld(Around):
         cell, perception = dynamics.cell, dynamics.perception
         gallery = perception.gallery
         self._device = perception.sprites.device
-        self.native = hvf_core.LayerWorld(
+        self._native = hvf_core.LayerWorld(
             hand=_layers(cell.hand),
             sliders=[_layers(network) for network in cell.sliders],
             parts=_layers(cell.parts),
@@ -59,6 +56,11 @@ class LayerWorld(Around):
             blur=blur,
             over_horizon=over_horizon,
         )
+
+    @property
+    def native(self) -> hvf_core.LayerWorld:
+        """What the planner runs without the GIL, and what the methods here speak for."""
+        return self._native
 
     @property
     def inner(self) -> Any:

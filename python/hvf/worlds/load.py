@@ -7,6 +7,7 @@ makes a world of it. Torch is imported only where a learned model takes part.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +18,14 @@ from hvf.settings import Planning, World
 
 if TYPE_CHECKING:
     from hvf.domains.domain import Domain, Place
+    from hvf.models.entry import Role
 
-_ROLES = {"dynamics": "dynamics", "generator": "generator", "cost": "distance"}
+# A cost may also be measured in the latent of a generator.
+_ROLES: Mapping[str, tuple[Role, ...]] = {
+    "dynamics": ("dynamics",),
+    "generator": ("generator",),
+    "cost": ("distance", "generator"),
+}
 
 
 @dataclass(frozen=True)
@@ -59,10 +66,13 @@ class Loaded:
     @property
     def kind(self) -> str:
         """What results may be compared with."""
-        if "dynamics" not in self.weights:
-            return "simulator"
-        kinds = {weights.kind for weights in self.weights.values()}
-        return "object" if "object" in kinds else "video"
+        return kind_of(self.weights) if "dynamics" in self.weights else "simulator"
+
+
+def kind_of(weights: Mapping[str, Weights]) -> str:
+    """What learned models together are: "object" if one is, or "video"; empty for none."""
+    kinds = {each.kind for each in weights.values()}
+    return "object" if "object" in kinds else "video" if kinds else ""
 
 
 def load(
@@ -93,7 +103,7 @@ def load(
     def module(part: str, name: str) -> Any:
         path = checkpoint(domain, part, name)
         if part not in models:
-            weights[part], models[part] = _read(part, path)
+            weights[part], models[part] = _read(part, path, _ROLES[part])
         return models[part]
 
     if world.dynamics == "simulator":
@@ -114,6 +124,23 @@ def load(
         model = module("generator", world.generator)
         drawn = _plannable(weights["generator"])(model, dynamics)
     return Loaded(planned, drawn, weights)
+
+
+def load_asked(domain: Domain, world: World, name: str) -> tuple[Weights, Any]:
+    """The model that a method asks of its own (:attr:`hvf.agents.method.Method.asks`).
+
+    Args:
+        domain: whose names count.
+        world: has the checkpoint, ``method_model``, or none for the domain's own.
+        name: of the model in :data:`hvf.registry.MODELS`; another of its role will do.
+
+    Raises:
+        FileNotFoundError: a checkpoint that is not there; says how to make it.
+        ValueError: a checkpoint of a model of another role.
+    """
+    path = checkpoint(domain, "method_model", world.method_model or name)
+    weights, model = _read("method_model", path, (MODELS[name].role,))
+    return weights, _plannable(weights)(model)
 
 
 def checkpoint(domain: Domain, part: str, name: str) -> Path:
@@ -142,11 +169,10 @@ def checkpoint(domain: Domain, part: str, name: str) -> Path:
     )
 
 
-def _read(part: str, path: Path) -> tuple[Weights, Any]:
+def _read(part: str, path: Path, roles: tuple[Role, ...]) -> tuple[Weights, Any]:
     from hvf.models.checkpoint import load_any
 
     found = load_any(path)
-    roles = (_ROLES[part], "generator") if part == "cost" else (_ROLES[part],)
     if found.entry.role not in roles:
         raise ValueError(
             f"{part}: {path} holds a {found.name} model, which is good for "

@@ -53,10 +53,11 @@ impl OverHorizon {
         self != Self::Last || step + 1 == steps
     }
 
-    /// The tally after a frame that counts and costs `cost`.
+    /// The tally after a frame that counts and costs `cost`; NaN from the first NaN on.
     pub fn add(self, tally: f32, cost: f32) -> f32 {
         match self {
-            Self::Min => tally.min(cost),
+            Self::Min if cost < tally || cost.is_nan() => cost,
+            Self::Min => tally,
             Self::Last | Self::Sum => tally + cost,
         }
     }

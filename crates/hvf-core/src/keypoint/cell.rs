@@ -74,6 +74,9 @@ pub struct Scratch {
     moved: Vec<Lanes>,
 }
 
+/// Most substeps of an action, each of which takes its time, and pixels between taps.
+const MOST: usize = 256;
+
 fn expect(argument: &'static str, expected: &[usize], found: &[usize]) -> Result<()> {
     if expected == found {
         Ok(())
@@ -134,8 +137,11 @@ impl CellWeights<'_> {
             return Err(Error::invalid("action_scale", "must be positive and finite"));
         }
         for (argument, value) in [("spacing", self.spacing), ("substeps", self.substeps)] {
-            if value == 0 {
-                return Err(Error::invalid(argument, "must be at least 1"));
+            if !(1..=MOST).contains(&value) {
+                return Err(Error::invalid(
+                    argument,
+                    format!("must be at least 1 and at most {MOST}, got {value}"),
+                ));
             }
         }
         Ok((action_dim, memory))

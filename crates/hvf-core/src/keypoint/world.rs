@@ -14,6 +14,9 @@ use crate::lanes::{Lanes, LANES};
 use crate::planner::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel};
 use crate::{Error, Result};
 
+/// Largest image, as the maze's.
+const LARGEST_IMAGE: usize = 2048;
+
 /// Learned dynamics whose planning cost is the pixel cost of the predicted frame.
 ///
 /// # How it works
@@ -41,7 +44,7 @@ impl KeypointWorld {
     ///
     /// # Errors
     /// An action space of another dimension than the cell's, a sprite that cannot be drawn, an
-    /// image size below 2, or a blur that is negative or not finite.
+    /// image size below 2 or above 2048, or a blur that is negative or not finite.
     pub fn new(
         cell: Cell,
         sprite: Sprite,
@@ -51,8 +54,11 @@ impl KeypointWorld {
         over_horizon: OverHorizon,
     ) -> Result<Self> {
         sprite.validate()?;
-        if size < 2 {
-            return Err(Error::invalid("image_size", format!("must be at least 2, got {size}")));
+        if !(2..=LARGEST_IMAGE).contains(&size) {
+            return Err(Error::invalid(
+                "image_size",
+                format!("must be at least 2 and at most {LARGEST_IMAGE}, got {size}"),
+            ));
         }
         if cell.action_dim() != actions.dim() {
             return Err(Error::invalid(
@@ -132,11 +138,17 @@ impl KeypointWorld {
         Room { action: vec![[0.0; LANES]; self.actions.dim()], cell: self.cell.scratch() }
     }
 
-    /// Cost of one candidate's keypoint, per pixel.
+    /// Cost of one candidate's keypoint, per pixel; NaN where that is no place.
     fn cost(&self, block: &[Lanes; 2], lane: usize, terms: &GoalTerms) -> f32 {
         let keypoint = [block[0][lane], block[1][lane]];
+        // A sprite that is nowhere must not cost what a frame without it does.
+        if !(keypoint[0].is_finite() && keypoint[1].is_finite()) {
+            return f32::NAN;
+        }
         let sum = self.sprite.squared_distance(keypoint, terms, self.gram.as_ref());
-        sum.max(0.0) / (self.size * self.size) as f32
+        // Below zero by rounding only; NaN stays NaN.
+        let sum = if sum < 0.0 { 0.0 } else { sum };
+        sum / (self.size * self.size) as f32
     }
 
     /// Keypoints `[B, D, H, 2]` (row, column in pixels) that the cell predicts from each of `B`

@@ -70,11 +70,17 @@ impl Gallery {
                 format!("must be at least 2, got {:?}", images.places),
             ));
         }
-        let expected = (images.places.iter().product(), tiles.count());
-        if images.index.dim() != expected {
+        let count_of = |total: usize, &places: &usize| total.checked_mul(places);
+        let places = images.places.iter().try_fold(1, count_of);
+        if places != Some(images.index.nrows()) || images.index.ncols() != tiles.count() {
             return Err(Error::invalid(
                 "arm_index",
-                format!("expected shape {expected:?}, got {:?}", images.index.shape()),
+                format!(
+                    "expected shape [product of {:?}, {}], got {:?}",
+                    images.places,
+                    tiles.count(),
+                    images.index.shape()
+                ),
             ));
         }
         let known = |&number: &i32| usize::try_from(number).is_ok_and(|number| number < count);

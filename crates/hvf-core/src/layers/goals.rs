@@ -119,7 +119,9 @@ impl<'a> Goals<'a> {
     ) {
         let pixels = self.tiles.count() * self.tiles.plane();
         let scale = 1.0 / (255.0 * 255.0 * pixels as f64);
-        let mut visit = |goal: usize, sum: f64| visit(goal, (sum.max(0.0) * scale) as f32);
+        let mut visit = |goal: usize, sum: f64| {
+            visit(goal, ((if sum < 0.0 { 0.0 } else { sum }) * scale) as f32)
+        };
         match (&self.kind, &mut room.0) {
             (Kind::Blurred(blur, goals), Some(Room { change, scratch })) => {
                 let values = self.tiles.values();

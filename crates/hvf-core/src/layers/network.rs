@@ -1,12 +1,8 @@
 //! A few linear layers with rectified units between them, for blocks of inputs.
 
-use ndarray::{ArrayView1, ArrayView2};
-
 use crate::lanes::{Lanes, Layer};
+pub use crate::nn::Linear;
 use crate::{Error, Result};
-
-/// Weights `[outputs, inputs]` and bias `[outputs]` of a layer, as `torch.nn.Linear` stores them.
-pub type Linear<'a> = (ArrayView2<'a, f32>, ArrayView1<'a, f32>);
 
 /// Linear layers, each but the last followed by rectified units.
 #[derive(Clone, Debug)]

@@ -147,10 +147,20 @@ fn roll(
     }
 }
 
-fn check_actions<'a>(mut actions: impl Iterator<Item = &'a f32>, dim: usize) -> Result<()> {
+fn check_dim(dim: usize) -> Result<()> {
     if dim != 2 {
         return Err(Error::invalid("actions", format!("must have 2 dimensions, got {dim}")));
     }
+    Ok(())
+}
+
+/// Whether a candidate's actions `[H, 2]` are numbers: its cost is NaN where they are not.
+fn are_finite(actions: ArrayView2<'_, f32>) -> bool {
+    actions.iter().all(|a| a.is_finite())
+}
+
+fn check_actions<'a>(mut actions: impl Iterator<Item = &'a f32>, dim: usize) -> Result<()> {
+    check_dim(dim)?;
     match actions.find(|a| !a.is_finite()) {
         Some(a) => Err(Error::invalid("actions", format!("must be finite, got {a}"))),
         None => Ok(()),
@@ -183,7 +193,7 @@ impl WorldModel for MazeWorld {
         let (problems, candidates, steps, dim) = actions.dim();
         check_count("starts", starts, problems)?;
         check_count("goals", goals, problems)?;
-        check_actions(actions.iter(), dim)?;
+        check_dim(dim)?;
         let mut costs = Array2::zeros((problems, candidates));
         costs.axis_iter_mut(Axis(0)).into_par_iter().enumerate().try_for_each(|(b, mut row)| {
             let start = starts.state(b);
@@ -195,8 +205,13 @@ impl WorldModel for MazeWorld {
                 .enumerate()
                 .with_min_len(CANDIDATES_PER_TASK)
                 .for_each_init(Patch::default, |patch, (d, mut cost)| {
+                    let actions = actions.index_axis(Axis(0), d);
+                    if !are_finite(actions) {
+                        cost.fill(f32::NAN);
+                        return;
+                    }
                     let mut tally = self.config.over_horizon.start();
-                    roll(&space, start, actions.index_axis(Axis(0), d), |step, state| {
+                    roll(&space, start, actions, |step, state| {
                         if self.counts(step, steps) {
                             self.cost.patch(&self.renderer, &scene, &state, patch);
                             let cost = self.cost.cost(&terms, patch);
@@ -228,7 +243,9 @@ impl MazeWorld {
         actions: ArrayView3<'_, f32>,
     ) -> Result<Array2<f32>> {
         check_count("start", start, 1)?;
-        let states = self.rollout(start.state(0), actions)?;
+        let known: Vec<bool> = actions.outer_iter().map(are_finite).collect();
+        let tame = actions.mapv(|a| if a.is_finite() { a } else { 0.0 });
+        let states = self.rollout(start.state(0), tame.view())?;
         let (candidates, steps) = states.dim();
         let mut scene = vec![0; self.renderer.frame_len()];
         self.renderer.render_scene(&start.state(0).scene, &mut scene);
@@ -248,7 +265,11 @@ impl MazeWorld {
         let mut costs = Array2::zeros((goals.len(), candidates));
         costs.axis_iter_mut(Axis(0)).into_par_iter().enumerate().try_for_each(|(b, mut row)| {
             let (_, terms) = self.terms(&start.state(0), goals, b)?;
-            for (cost, patches) in row.iter_mut().zip(&patches) {
+            for ((cost, patches), &known) in row.iter_mut().zip(&patches).zip(&known) {
+                if !known {
+                    *cost = f32::NAN;
+                    continue;
+                }
                 let tally = self.config.over_horizon.start();
                 *cost = patches.iter().fold(tally, |tally, patch| {
                     self.config.over_horizon.add(tally, self.cost.cost(&terms, patch))

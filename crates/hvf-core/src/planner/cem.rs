@@ -67,10 +67,10 @@ impl CemConfig {
     /// # Errors
     /// Names the field that is out of range.
     pub fn validate(&self) -> Result<()> {
-        if self.samples == 0 || u32::try_from(self.samples).is_err() {
+        if self.samples == 0 || self.samples > MAX_VALUES {
             return Err(Error::invalid(
                 "samples",
-                format!("must be at least 1, got {}", self.samples),
+                format!("must be between 1 and {MAX_VALUES}, got {}", self.samples),
             ));
         }
         if self.elites == 0 || self.elites > self.samples {
@@ -192,6 +192,9 @@ pub fn minimise<O: Objective>(
         initial.len() == 1 || initial.len() == streams.len(),
         "one initial distribution or one each"
     );
+    if bounds.low.is_empty() {
+        return Err(Error::invalid("bounds", "must have at least one dimension"));
+    }
     let most = MAX_VALUES / bounds.low.len();
     if config.samples > most {
         return Err(Error::invalid(

@@ -18,7 +18,8 @@ impl ActionSpace {
     /// A box from its corners.
     ///
     /// # Errors
-    /// `low` empty, of another length than `high`, not finite, or not below `high`.
+    /// `low` empty, of another length than `high`, not finite, not below `high`, or so far below
+    /// that the difference is not finite.
     pub fn new(low: Vec<f32>, high: Vec<f32>) -> Result<Self> {
         if low.is_empty() {
             return Err(Error::invalid("action_low", "must hold at least one dimension"));
@@ -38,6 +39,13 @@ impl ActionSpace {
                 return Err(Error::invalid(
                     "action_low",
                     format!("must be finite and below action_high, got [{l}, {h}] in dimension {dimension}"),
+                ));
+            }
+            // Uniform candidates are drawn as a share of it.
+            if !(h - l).is_finite() {
+                return Err(Error::invalid(
+                    "action_low",
+                    format!("must be less than 3.4e38 below action_high, got [{l}, {h}] in dimension {dimension}"),
                 ));
             }
         }

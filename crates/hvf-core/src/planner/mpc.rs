@@ -7,7 +7,7 @@ use super::cem::{minimise, CemConfig, IterationStats, MAX_VALUES};
 use super::distribution::{Bounds, Initial};
 use super::model::{ActionSpace, Frames, WorldModel};
 use super::rollouts::{hold, Rollouts};
-use super::sampler::{Stream, MAX_DIMENSIONS};
+use super::sampler::{Stream, LONGEST_NORMAL, MAX_DIMENSIONS};
 use crate::{Error, Result};
 
 /// Asked between two calls of a model whether to go on; its error ends the planning.
@@ -82,17 +82,17 @@ impl MpcConfig {
                 format!("must divide horizon ({}), got {}", self.horizon, self.action_repeat),
             ));
         }
-        if !(self.warm_start_std > 0.0 && self.warm_start_std.is_finite()) {
+        if !is_deviation(self.warm_start_std) {
             return Err(Error::invalid(
                 "warm_start_std",
                 format!("must be finite and positive, got {}", self.warm_start_std),
             ));
         }
         if let ActionInitial::Normal { mean, std } = self.initial {
-            if !mean.is_finite() {
+            if !(mean as f32).is_finite() {
                 return Err(Error::invalid("initial_mean", format!("must be finite, got {mean}")));
             }
-            if !(std > 0.0 && std.is_finite()) {
+            if !is_deviation(std) {
                 return Err(Error::invalid(
                     "initial_std",
                     format!("must be finite and positive, got {std}"),
@@ -173,6 +173,13 @@ impl MpcConfig {
         }
         Bounds { low: space.low().repeat(decisions), high: space.high().repeat(decisions) }
     }
+}
+
+/// Whether a number is a standard deviation in the precision that candidates are drawn with, and
+/// no candidate drawn with it is infinite.
+fn is_deviation(std: f64) -> bool {
+    let narrow = std as f32;
+    narrow > 0.0 && (narrow * LONGEST_NORMAL).is_finite()
 }
 
 /// `B` planning problems.

@@ -10,6 +10,10 @@ use super::mpc::{Interrupt, MpcConfig, Problems};
 use super::sampler::draw_seeds;
 use crate::Result;
 
+/// Most values of actions in one call, whatever a model wants, where more than one problem is in
+/// it: 256 MiB.
+const MAX_CALL_VALUES: usize = 1 << 26;
+
 /// The world model's costs as an objective.
 pub(super) struct Rollouts<'a, W: WorldModel> {
     pub config: &'a MpcConfig,
@@ -55,7 +59,9 @@ fn selected<'f, F: Frames>(frames: &'f F, problems: &[usize]) -> Result<Cow<'f, 
 
 impl<W: WorldModel> Objective for Rollouts<'_, W> {
     fn problems_per_call(&self) -> usize {
-        self.world.max_candidates() / self.config.cem.samples
+        let values = self.config.horizon * self.world.action_space().dim();
+        let most = self.world.max_candidates().min(MAX_CALL_VALUES / values);
+        most / self.config.cem.samples
     }
 
     fn costs(&mut self, call: Call<'_>, candidates: Array3<f32>) -> Result<Array2<f32>> {

@@ -17,6 +17,8 @@ const LANES: usize = 16;
 /// Random words of one Philox block, hence dimensions of one block.
 const BLOCK: usize = 4;
 
+/// No standard normal number that is drawn is longer than this.
+pub(super) const LONGEST_NORMAL: f32 = 7.0;
 /// Most dimensions of one candidate: the counter keeps 16 bits for the block.
 pub const MAX_DIMENSIONS: usize = BLOCK << 16;
 /// Most iterations: the counter keeps 15 bits for the iteration.

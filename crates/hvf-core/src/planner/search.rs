@@ -67,6 +67,13 @@ impl HvfConfig {
     /// Names the field that is out of range.
     pub fn validate(&self) -> Result<()> {
         self.cem.validate()?;
+        // The counters of a search keep 16 bits for the segment.
+        if self.subgoals > usize::from(u16::MAX) {
+            return Err(Error::invalid(
+                "subgoals",
+                format!("must be at most {}, got {}", u16::MAX, self.subgoals),
+            ));
+        }
         self.mpc.validate()
     }
 }

@@ -1,6 +1,7 @@
 //! Where frames cross between Python and a world model, native or written in Python.
 
 use hvf_core_rs::keypoint::KeypointWorld;
+use hvf_core_rs::latent::{LatentFrames, LatentWorld};
 use hvf_core_rs::layers::LayerWorld;
 use hvf_core_rs::maze::{MazeFrames, MazeWorld};
 use hvf_core_rs::planner::{SubgoalModel, WorldModel};
@@ -12,10 +13,12 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::{PyClass, PyTypeInfo};
 
-use super::arguments::describe;
+use super::pace::Paced;
 use super::raised;
+use crate::arguments::{describe, Whole};
 use crate::error::to_py;
 use crate::keypoint::{PyKeypointFrames, PyKeypointWorld};
+use crate::latent::{PyLatentFrames, PyLatentWorld};
 use crate::layers::{PyLayerFrames, PyLayerWorld};
 use crate::maze_world::{PyMazeFrames, PyMazeWorld};
 
@@ -88,6 +91,21 @@ impl NativeClass for PyKeypointWorld {
     }
 }
 
+impl NativeClass for PyLatentWorld {
+    type World = LatentWorld;
+    type Frames = PyLatentFrames;
+
+    fn world(&self) -> &LatentWorld {
+        &self.inner
+    }
+    fn unwrap(frames: &PyLatentFrames) -> &LatentFrames {
+        &frames.inner
+    }
+    fn wrap(inner: LatentFrames) -> PyLatentFrames {
+        PyLatentFrames { inner }
+    }
+}
+
 impl NativeClass for PyLayerWorld {
     type World = LayerWorld;
     type Frames = PyLayerFrames;
@@ -120,22 +138,22 @@ impl NativeClass for PyMazeWorld {
 
 /// A native world: planned with without the GIL.
 pub struct Native<N: NativeClass> {
-    native: Py<N>,
+    world: Paced<N>,
     model: Py<PyAny>,
 }
 
 impl<N: NativeClass> Native<N> {
     /// `model` is the object that the user gave: the native world or a wrapper around it.
     pub fn new(native: &Bound<'_, N>, model: &Bound<'_, PyAny>) -> Self {
-        Self { native: native.clone().unbind(), model: model.clone().unbind() }
+        Self { world: Paced::new(native.clone().unbind()), model: model.clone().unbind() }
     }
 }
 
 impl<N: NativeClass> Border for Native<N> {
-    type World = N::World;
+    type World = Paced<N>;
 
-    fn world(&self) -> &N::World {
-        self.native.get().world()
+    fn world(&self) -> &Paced<N> {
+        &self.world
     }
 
     fn model(&self) -> &Py<PyAny> {
@@ -182,6 +200,7 @@ impl<N: NativeClass> Border for Native<N> {
 pub fn is_native_frames(object: &Bound<'_, PyAny>) -> bool {
     object.is_instance_of::<PyMazeFrames>()
         || object.is_instance_of::<PyKeypointFrames>()
+        || object.is_instance_of::<PyLatentFrames>()
         || object.is_instance_of::<PyLayerFrames>()
 }
 
@@ -252,7 +271,7 @@ impl<'b, B: Border> Generator<'b, B> {
                 return Err(missing());
             }
             let dim = object.getattr_opt(intern!(py, "latent_dim"))?.ok_or_else(missing)?;
-            dim.extract::<super::arguments::Whole>()?.count("generator.latent_dim")?
+            dim.extract::<Whole>()?.count("generator.latent_dim")?
         };
         Ok(Self { object: object.clone().unbind(), latent_dim, border })
     }
@@ -280,8 +299,11 @@ impl<B: Border> SubgoalModel<FramesOf<B>> for Generator<'_, B> {
 macro_rules! with_border {
     ($model:expr, |$border:ident| $body:expr) => {{
         let model: &pyo3::Bound<'_, pyo3::PyAny> = $model;
-        let native = $crate::planner::border::native_of(model)?;
+        let native = $crate::planner::native::native_of(model)?;
         if let Ok(world) = native.cast::<$crate::keypoint::PyKeypointWorld>() {
+            let $border = $crate::planner::border::Native::new(world, model);
+            $body
+        } else if let Ok(world) = native.cast::<$crate::latent::PyLatentWorld>() {
             let $border = $crate::planner::border::Native::new(world, model);
             $body
         } else if let Ok(world) = native.cast::<$crate::layers::PyLayerWorld>() {
@@ -297,9 +319,3 @@ macro_rules! with_border {
     }};
 }
 pub(super) use with_border;
-
-/// `model.native` where there is one, else the model itself.
-pub fn native_of<'py>(model: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    let native = model.getattr_opt(intern!(model.py(), "native"))?;
-    Ok(native.filter(|native| !native.is_none()).unwrap_or_else(|| model.clone()))
-}

@@ -5,12 +5,14 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use super::arguments::{best_name, best_of, seeds, Whole};
+use super::arguments::{best_name, best_of, seeds};
 use super::border::{with_border, Axes, Border, FramesOf, Generator};
 use super::results::{PyPlans, PySearchResult};
 use super::signals;
 use super::visual_mpc::{keywords, one_frame, PyVisualMpc};
+use crate::arguments::{check_problems, instance, text, Flag, Given, Real, Text, Whole};
 use crate::error::to_py;
+use crate::threads::detached;
 
 /// Hierarchical visual foresight: the search for subgoal images.
 ///
@@ -30,9 +32,10 @@ impl PyHvf {
     #[new]
     #[pyo3(
         signature = (
-            *, mpc=None, subgoals=Whole(2), samples=Whole(200), elites=Whole(40),
-            iterations=Whole(5), min_variance=1e-3, reduction="max", keep_elites=Whole(0),
-            prune=true, share_rollouts=true, best="all"
+            *, mpc=None, subgoals=Given::of(2), samples=Given::of(200), elites=Given::of(40),
+            iterations=Given::of(5), min_variance=Given::of(1e-3), reduction=text("max"),
+            keep_elites=Given::of(0), prune=Given::of(true), share_rollouts=Given::of(true),
+            best=text("all")
         ),
         text_signature = "(*, mpc=None, subgoals=2, samples=200, elites=40, iterations=5, \
                           min_variance=0.001, reduction='max', keep_elites=0, prune=True, \
@@ -40,19 +43,19 @@ impl PyHvf {
     )]
     #[allow(clippy::too_many_arguments)]
     fn new(
-        mpc: Option<&Bound<'_, PyVisualMpc>>,
+        mpc: Option<&Bound<'_, PyAny>>,
         subgoals: Whole,
         samples: Whole,
         elites: Whole,
         iterations: Whole,
-        min_variance: f64,
-        reduction: &str,
+        min_variance: Real,
+        reduction: Text,
         keep_elites: Whole,
-        prune: bool,
-        share_rollouts: bool,
-        best: &str,
+        prune: Flag,
+        share_rollouts: Flag,
+        best: Text,
     ) -> PyResult<Self> {
-        let reduction = match reduction {
+        let reduction = match &*reduction.get("reduction")? {
             "max" => Reduction::Max,
             "mean" => Reduction::Mean,
             other => {
@@ -62,19 +65,22 @@ impl PyHvf {
             }
         };
         let config = HvfConfig {
-            mpc: mpc.map_or_else(MpcConfig::default, |mpc| mpc.get().config.clone()),
+            mpc: match mpc {
+                None => MpcConfig::default(),
+                Some(mpc) => instance::<PyVisualMpc>("mpc", mpc)?.get().config.clone(),
+            },
             subgoals: subgoals.count("subgoals")?,
             cem: CemConfig {
                 samples: samples.count("samples")?,
                 elites: elites.count("elites")?,
                 iterations: iterations.count("iterations")?,
-                min_variance,
+                min_variance: min_variance.get("min_variance")?,
                 keep_elites: keep_elites.count("keep_elites")?,
                 best: best_of(best)?,
             },
             reduction,
-            prune,
-            share_rollouts,
+            prune: prune.get("prune")?,
+            share_rollouts: share_rollouts.get("share_rollouts")?,
         };
         config.validate().map_err(to_py)?;
         Ok(Self { config })
@@ -86,7 +92,7 @@ impl PyHvf {
     /// the methods of `hvf.protocols.SubgoalModel` (None will do for `subgoals=0`). The result does not
     /// depend on the number of threads, nor on `prune` and `share_rollouts`.
     #[pyo3(
-        signature = (model, generator, start, goal, seed=Whole(0)),
+        signature = (model, generator, start, goal, seed=Given::of(0)),
         text_signature = "($self, model, generator, start, goal, seed=0)"
     )]
     fn search(
@@ -120,7 +126,8 @@ impl PyHvf {
         with_border!(model, |border| {
             let starts = border.read("starts", starts, Axes::Batch)?;
             let goals = border.read("goals", goals, Axes::Batch)?;
-            let count = goals.len();
+            check_problems("starts", starts.len())?;
+            let count = check_problems("goals", goals.len())?;
             if starts.len() != count && starts.len() != 1 {
                 return Err(PyValueError::new_err(format!(
                     "starts: must hold one frame or as many as goals ({count}), got {}",
@@ -238,11 +245,10 @@ impl PyHvf {
     where
         FramesOf<B>: Sync,
     {
-        let found = py
-            .detach(|| {
-                search(&self.config, border.world(), generator, start, goal, seed, &signals())
-            })
-            .map_err(|error| border.error(py, error))?;
+        let found = detached(py, || {
+            search(&self.config, border.world(), generator, start, goal, seed, &signals())
+        })?
+        .map_err(|error| border.error(py, error))?;
         Ok(PySearchResult {
             subgoals: border.write(py, found.subgoals)?.unbind(),
             cost: found.cost,

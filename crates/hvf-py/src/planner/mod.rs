@@ -1,15 +1,17 @@
 //! Visual MPC and the subgoal search for Python.
 //!
-//! [`border`] takes frames in and out and finds the world behind a Python object, [`model`] makes
-//! any Python object a world model and [`returned_costs`] reads its costs, [`visual_mpc`] and
-//! [`hvf`] are the planners, which [`hashing`] makes keys of dictionaries, [`results`] what they
-//! return.
+//! [`border`] takes frames in and out, [`native`] finds the world behind a Python object and
+//! [`pace`] lets Ctrl-C end its calls, [`model`] makes any Python object a world model and
+//! [`returned_costs`] reads its costs, [`visual_mpc`] and [`hvf`] are the planners, which
+//! [`hashing`] makes keys of dictionaries, [`results`] what they return.
 
-mod arguments;
+pub(crate) mod arguments;
 mod border;
 mod hashing;
 mod hvf;
 mod model;
+mod native;
+mod pace;
 mod results;
 mod returned_costs;
 mod visual_mpc;

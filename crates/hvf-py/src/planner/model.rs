@@ -5,17 +5,17 @@
 
 use hvf_core_rs::planner::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel};
 use hvf_core_rs::{Error, Result};
-use ndarray::Array2;
-use numpy::{AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayLike1};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use ndarray::{Array2, Ix1};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4};
+use pyo3::exceptions::{PyAttributeError, PyOverflowError, PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString, PyTuple};
 
-use super::arguments::{describe, Whole};
 use super::border::{as_images, images_of, is_native_frames, Axes, Border};
 use super::raised;
 use super::returned_costs::read_costs;
+use crate::arguments::{describe, numbers, Whole};
 use crate::error::to_py;
 
 /// Frames of a Python world: any object with `len()` that an int64 array indexes.
@@ -26,12 +26,23 @@ pub struct PythonFrames {
 
 impl PythonFrames {
     fn new(argument: &str, object: Bound<'_, PyAny>) -> PyResult<Self> {
-        let Ok(len) = object.len() else {
-            return Err(PyTypeError::new_err(format!(
-                "{argument}: expected frames with len() and frames[index], got {}",
-                describe(&object)
-            )));
-        };
+        let py = object.py();
+        let len = object.len().map_err(|exception| {
+            if exception.is_instance_of::<PyTypeError>(py)
+                || exception.is_instance_of::<PyAttributeError>(py)
+            {
+                return PyTypeError::new_err(format!(
+                    "{argument}: expected frames with len() and frames[index], got {}",
+                    describe(&object)
+                ));
+            }
+            // Python's own word for a length beyond 63 bits.
+            if exception.is_instance_of::<PyOverflowError>(py) {
+                let found = describe(&object);
+                return PyValueError::new_err(format!("{argument}: the length of {found} is huge"));
+            }
+            exception
+        })?;
         Ok(Self { object: object.unbind(), len })
     }
 }
@@ -94,13 +105,9 @@ impl PythonWorld {
         }
         let corner = |name: &str| -> PyResult<Vec<f32>> {
             let value = object.getattr(name)?;
-            let array: PyArrayLike1<'_, f32, AllowTypeChange> = value.extract().map_err(|_| {
-                PyTypeError::new_err(format!(
-                    "model.{name}: expected a float array [A], got {}",
-                    describe(&value)
-                ))
-            })?;
-            Ok(array.as_array().to_vec())
+            let corner =
+                numbers::<f32, Ix1>(&format!("model.{name}"), &value, "a float array [A]")?;
+            Ok(corner.to_vec())
         };
         let actions = ActionSpace::new(corner("action_low")?, corner("action_high")?)
             .map_err(|error| PyValueError::new_err(format!("model.{}", to_py(error).value(py))))?;

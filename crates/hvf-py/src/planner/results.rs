@@ -3,9 +3,10 @@
 use hvf_core_rs::planner::{IterationStats, Plan, SearchStats};
 use ndarray::{stack, Array1, Array2, Array3, Axis};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
-use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyIterator, PyList};
+
+use crate::arguments::one_index;
 
 /// One figure of an iteration, by name.
 type Figure = (&'static str, fn(&IterationStats) -> f32);
@@ -122,14 +123,9 @@ impl PyPlans {
         self.inner.len()
     }
 
-    fn __getitem__(&self, index: isize) -> PyResult<PyPlan> {
-        let count = self.inner.len();
-        let place = if index < 0 { index + count as isize } else { index };
-        usize::try_from(place)
-            .ok()
-            .and_then(|place| self.inner.get(place))
-            .map(|plan| PyPlan { inner: plan.clone() })
-            .ok_or_else(|| PyIndexError::new_err(format!("plan {index} of {count}")))
+    fn __getitem__(&self, index: &Bound<'_, PyAny>) -> PyResult<PyPlan> {
+        let place = one_index(index, self.inner.len())?;
+        Ok(PyPlan { inner: self.inner[place].clone() })
     }
 
     fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyIterator>> {

@@ -5,16 +5,13 @@
 //! for it, so that this module need not know torch or any other library of arrays.
 
 use ndarray::{Array2, Ix2};
-use numpy::{
-    AllowTypeChange, PyArray2, PyArrayLikeDyn, PyArrayMethods, PyUntypedArray,
-    PyUntypedArrayMethods,
-};
+use numpy::{PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyException, PyMemoryError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use super::arguments::describe;
+use crate::arguments::{array, describe, numbers};
 
 /// Costs `[B, D]` of the shape `expected`: float32 as it is, other real numbers converted.
 ///
@@ -34,25 +31,24 @@ pub fn read_costs(
         )),
         Err(exception) => exception,
     };
-    if let Ok(costs) = returned.cast::<PyArray2<f32>>() {
-        return match costs.readonly().as_array() {
+    if let Ok(costs) = array::<f32, Ix2>(method, returned, "costs") {
+        return match costs.as_array() {
             view if view.dim() == expected => Ok(view.to_owned()),
             _ => Err(wrong(describe(returned))),
         };
     }
-    let array = match on_the_host(returned) {
-        Ok(array) => array,
+    let costs = match on_the_host(returned) {
+        Ok(costs) => costs,
         Err(exception) => return Err(explained(exception, returned, wrong)),
     };
     let py = returned.py();
     let kind: String =
-        array.getattr(intern!(py, "dtype"))?.getattr(intern!(py, "kind"))?.extract()?;
-    let shape = array.cast::<PyUntypedArray>()?.shape();
+        costs.getattr(intern!(py, "dtype"))?.getattr(intern!(py, "kind"))?.extract()?;
+    let shape = costs.cast::<PyUntypedArray>()?.shape();
     if !["f", "i", "u"].contains(&kind.as_str()) || shape != [expected.0, expected.1] {
-        return Err(wrong(describe(&array)));
+        return Err(wrong(describe(&costs)));
     }
-    let floats: PyArrayLikeDyn<'_, f32, AllowTypeChange> = array.extract()?;
-    floats.as_array().to_owned().into_dimensionality::<Ix2>().map_err(|_| wrong(describe(&array)))
+    numbers(method, &costs, "costs")
 }
 
 /// What a model returned as a NumPy array.

@@ -8,11 +8,13 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use super::arguments::{best_name, best_of, one_warm_start, seeds, warm_starts, Whole};
+use super::arguments::{best_name, best_of, corner, one_warm_start, seeds, warm_starts};
 use super::border::{with_border, Axes, Border, FramesOf};
 use super::results::{PyPlan, PyPlans};
 use super::signals;
+use crate::arguments::{check_problems, text, Flag, Given, Real, Text, Whole};
 use crate::error::to_py;
+use crate::threads::detached;
 
 /// Visual model-predictive control: the cross-entropy method over actions.
 ///
@@ -32,10 +34,11 @@ impl PyVisualMpc {
     #[new]
     #[pyo3(
         signature = (
-            *, horizon=Whole(5), samples=Whole(200), elites=Whole(40), iterations=Whole(5),
-            min_variance=1e-3, action_repeat=Whole(1), initial="uniform", initial_low=None,
-            initial_high=None, initial_mean=0.0, initial_std=1.0, keep_elites=Whole(0),
-            warm_start_std=1.0, clip=true, best="all"
+            *, horizon=Given::of(5), samples=Given::of(200), elites=Given::of(40), iterations=Given::of(5),
+            min_variance=Given::of(1e-3), action_repeat=Given::of(1), initial=text("uniform"), initial_low=None,
+            initial_high=None, initial_mean=Given::of(0.0), initial_std=Given::of(1.0),
+            keep_elites=Given::of(0), warm_start_std=Given::of(1.0), clip=Given::of(true),
+            best=text("all")
         ),
         text_signature = "(*, horizon=5, samples=200, elites=40, iterations=5, \
                           min_variance=0.001, action_repeat=1, initial='uniform', \
@@ -49,26 +52,30 @@ impl PyVisualMpc {
         samples: Whole,
         elites: Whole,
         iterations: Whole,
-        min_variance: f64,
+        min_variance: Real,
         action_repeat: Whole,
-        initial: &str,
-        initial_low: Option<Vec<f64>>,
-        initial_high: Option<Vec<f64>>,
-        initial_mean: f64,
-        initial_std: f64,
+        initial: Text,
+        initial_low: Option<&Bound<'_, PyAny>>,
+        initial_high: Option<&Bound<'_, PyAny>>,
+        initial_mean: Real,
+        initial_std: Real,
         keep_elites: Whole,
-        warm_start_std: f64,
-        clip: bool,
-        best: &str,
+        warm_start_std: Real,
+        clip: Flag,
+        best: Text,
     ) -> PyResult<Self> {
-        let initial = match initial {
-            "uniform" => ActionInitial::Uniform { low: initial_low, high: initial_high },
-            "normal" => match (initial_low, initial_high) {
-                (None, None) => ActionInitial::Normal { mean: initial_mean, std: initial_std },
-                _ => {
-                    return Err(PyValueError::new_err(
-                        "initial_low: belongs to initial='uniform', got initial='normal'",
-                    ))
+        let low = corner("initial_low", initial_low)?;
+        let high = corner("initial_high", initial_high)?;
+        let (mean, std) = (initial_mean.get("initial_mean")?, initial_std.get("initial_std")?);
+        let initial = match &*initial.get("initial")? {
+            "uniform" => ActionInitial::Uniform { low, high },
+            "normal" => match (low, high) {
+                (None, None) => ActionInitial::Normal { mean, std },
+                (low, _) => {
+                    let name = if low.is_some() { "initial_low" } else { "initial_high" };
+                    return Err(PyValueError::new_err(format!(
+                        "{name}: belongs to initial='uniform', got initial='normal'"
+                    )));
                 }
             },
             other => {
@@ -81,13 +88,13 @@ impl PyVisualMpc {
             horizon: horizon.count("horizon")?,
             action_repeat: action_repeat.count("action_repeat")?,
             initial,
-            warm_start_std,
-            clip,
+            warm_start_std: warm_start_std.get("warm_start_std")?,
+            clip: clip.get("clip")?,
             cem: CemConfig {
                 samples: samples.count("samples")?,
                 elites: elites.count("elites")?,
                 iterations: iterations.count("iterations")?,
-                min_variance,
+                min_variance: min_variance.get("min_variance")?,
                 keep_elites: keep_elites.count("keep_elites")?,
                 best: best_of(best)?,
             },
@@ -106,7 +113,7 @@ impl PyVisualMpc {
     /// Raises ValueError or TypeError naming the argument, or the model's method, that does not fit;
     /// what the model raises comes back as it is.
     #[pyo3(
-        signature = (model, start, goal, seed=Whole(0), warm_start=None),
+        signature = (model, start, goal, seed=Given::of(0), warm_start=None),
         text_signature = "($self, model, start, goal, seed=0, warm_start=None)"
     )]
     fn plan(
@@ -145,7 +152,8 @@ impl PyVisualMpc {
         let inner = with_border!(model, |border| {
             let starts = border.read("starts", starts, Axes::Batch)?;
             let goals = border.read("goals", goals, Axes::Batch)?;
-            let seeds = self::seeds(seeds, goals.len())?;
+            check_problems("starts", starts.len())?;
+            let seeds = self::seeds(seeds, check_problems("goals", goals.len())?)?;
             self.solve(model.py(), &border, &starts, &goals, &seeds, warm_start)
         })?;
         Ok(PyPlans { inner })
@@ -278,7 +286,7 @@ impl PyVisualMpc {
             .iter()
             .map(|&seed| Stream { seed, purpose: Purpose::Actions, problem: 0 })
             .collect();
-        let solved = py.detach(|| {
+        let solved = detached(py, || {
             let problems = Problems {
                 starts,
                 goals,
@@ -288,7 +296,7 @@ impl PyVisualMpc {
                 describe: &|problem| format!("problem {problem}"),
             };
             plan(&self.config, border.world(), &problems, &signals())
-        });
+        })?;
         solved.map_err(|error| border.error(py, error))
     }
 }

@@ -1,16 +1,14 @@
 """The maze as a Gymnasium environment."""
 
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 import hvf_core
 from hvf.envs.actions import checked_actions
-from hvf.envs.goals import checked_goals
 from hvf.envs.maze.task import (
     RENDER_FPS,
     RENDER_MODES,
@@ -55,17 +53,11 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         render_mode: str | None = None,
         goal_observation: bool = False,
     ) -> None:
-        self.task = MazeTask(difficulty, image_size, reward, render_mode)
-        self.goal_observation = goal_observation
+        self.task = MazeTask(difficulty, image_size, reward, render_mode, goal_observation)
         self.observation_space = self.task.observation_space
         if goal_observation:
-            place = spaces.Box(-hvf_core.MAZE_ARENA, hvf_core.MAZE_ARENA, (2,), np.float64)
-            image = cast("spaces.Space[Any]", self.task.observation_space)
-            self.observation_space = spaces.Dict(
-                {"observation": image, "achieved_goal": place, "desired_goal": place}
-            )
             # Learners take an environment that has this method for one with goals.
-            self.compute_reward = self._compute_reward
+            self.compute_reward = self.task.rewards_of_goals
         self.action_space = self.task.action_space
         self.render_mode = render_mode
         self._seed: int | None = None
@@ -114,23 +106,6 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         reward = float(self.task.rewards(success, distance)[0])
         return self._observe(), reward, info["success"], False, info
 
-    def _compute_reward(
-        self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any
-    ) -> np.float64 | NDArray[np.float64]:
-        """Rewards of being at ``achieved_goal[..., 2]`` with the target at ``desired_goal``, m.
-
-        What :meth:`step` gives for its own two goals. ``info`` is not used.
-
-        Raises:
-            ValueError: for another shape, or places that are not finite.
-        """
-        achieved, desired = checked_goals(achieved_goal, desired_goal, 2)
-        places, targets = achieved.reshape(-1, 2), desired.reshape(-1, 2)
-        states = np.concatenate([places, np.zeros_like(places)], axis=1)
-        success = hvf_core.maze_success(states, targets)
-        rewards = self.task.rewards(success, self.task.distances(states, targets))
-        return cast("np.float64 | NDArray[np.float64]", rewards.reshape(achieved.shape[:-1])[()])
-
     def render(self) -> Image | None:
         """Scene and goal side by side, uint8 ``[256, 520, 3]``; None in human mode.
 
@@ -154,16 +129,14 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
             self._window.close()
             self._window = None
 
-    def _observe(self) -> Image | dict[str, NDArray[Any]]:
+    def _observe(self) -> Any:
         assert self._state is not None
-        image: Image = self.task.observe(self._state)[0]
-        if not self.goal_observation:
-            return image
-        return {
-            "observation": image,
-            "achieved_goal": self._state[0, :2].copy(),
-            "desired_goal": self._target[0].copy(),
-        }
+        batch = self.task.observations(self._state, self._target)
+        return (
+            {name: part[0] for name, part in batch.items()}
+            if self.task.goal_observation
+            else batch[0]
+        )
 
     def _info(self) -> dict[str, Any]:
         assert self._state is not None

@@ -9,6 +9,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 import hvf_core
+from hvf.envs.goals import checked_goals
 
 Image: TypeAlias = NDArray[np.uint8]
 Actions: TypeAlias = NDArray[np.float32]
@@ -33,6 +34,7 @@ class MazeTask:
         reward: ``"sparse"``: 1 in the step that brings the agent within 0.05 m of the target,
             else 0. ``"dense"``: minus the distance to the target, m.
         render_mode: None, ``"rgb_array"`` or ``"human"``.
+        goal_observation: Whether observations are dicts for goal-conditioned learners.
 
     Raises:
         ValueError: for a value that is none of these.
@@ -43,6 +45,7 @@ class MazeTask:
     image_size: int = 64
     reward: Reward = "sparse"
     render_mode: str | None = None
+    goal_observation: bool = False
 
     def __post_init__(self) -> None:
         hvf_core.maze_episodes(0, 0, 0, _choice("difficulty", self.difficulty, Difficulty))
@@ -54,10 +57,13 @@ class MazeTask:
         self.observe(np.zeros((0, 4)))
 
     @property
-    def observation_space(self) -> spaces.Space[Image]:
-        """Images, uint8 ``[S, S, 3]``."""
-        shape = (self.image_size, self.image_size, 3)
-        return cast("spaces.Space[Image]", spaces.Box(0, 255, shape, np.uint8))
+    def observation_space(self) -> spaces.Space[Any]:
+        """Images, uint8 ``[S, S, 3]``, or dicts of those and of two goals, m."""
+        image = spaces.Box(0, 255, (self.image_size, self.image_size, 3), np.uint8)
+        if not self.goal_observation:
+            return image
+        place = spaces.Box(-hvf_core.MAZE_ARENA, hvf_core.MAZE_ARENA, (2,), np.float64)
+        return spaces.Dict({"observation": image, "achieved_goal": place, "desired_goal": place})
 
     @property
     def action_space(self) -> spaces.Space[Actions]:
@@ -68,6 +74,17 @@ class MazeTask:
     def observe(self, states: States) -> Image:
         """Images of ``states[N, 4]``: uint8 ``[N, S, S, 3]``."""
         return hvf_core.maze_render(states, self.image_size)
+
+    def observations(self, states: States, targets: States) -> Any:
+        """What is observed of ``states[N, 4]`` with ``targets[N, 2]``, a batch of the space's."""
+        images = self.observe(states)
+        if not self.goal_observation:
+            return images
+        return {
+            "observation": images,
+            "achieved_goal": states[:, :2].copy(),
+            "desired_goal": targets.copy(),
+        }
 
     def distances(self, states: States, targets: States) -> States:
         """Distances of ``states[N, 4]`` to ``targets[N, 2]``, m: float64 ``[N]``."""
@@ -107,6 +124,23 @@ class MazeTask:
                 + ", ".join(map(repr, options))
             )
         return start, target
+
+    def rewards_of_goals(
+        self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any
+    ) -> np.float64 | NDArray[np.float64]:
+        """Rewards of being at ``achieved_goal[..., 2]`` with the target at ``desired_goal``, m.
+
+        What a step gives for its own two goals. ``info`` is not used.
+
+        Raises:
+            ValueError: for another shape, or places that are not finite.
+        """
+        achieved, desired = checked_goals(achieved_goal, desired_goal, 2)
+        places, targets = achieved.reshape(-1, 2), desired.reshape(-1, 2)
+        states = np.concatenate([places, np.zeros_like(places)], axis=1)
+        success = hvf_core.maze_success(states, targets)
+        rewards = self.rewards(success, self.distances(states, targets))
+        return cast("np.float64 | NDArray[np.float64]", rewards.reshape(achieved.shape[:-1])[()])
 
     def goals(self, states: States, targets: States) -> Image:
         """Goal images: the scenes of ``states[N, 4]`` with the agent at ``targets[N, 2]``."""

@@ -22,7 +22,7 @@ from hvf.envs.maze.task import (
 Bools: TypeAlias = NDArray[np.bool_]
 
 
-class MazeVectorEnv(VectorEnv[Image, NDArray[np.float32], NDArray[Any]]):
+class MazeVectorEnv(VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
     """``num_envs`` mazes that behave like as many :class:`~hvf.envs.maze.env.MazeEnv`.
 
     Made with ``gymnasium.make_vec("hvf/Maze-v0", num_envs=8)``. Environment ``i`` of
@@ -41,6 +41,8 @@ class MazeVectorEnv(VectorEnv[Image, NDArray[np.float32], NDArray[Any]]):
             the next episode), ``SAME_STEP`` (that observation comes at once, the last one in
             ``info["final_obs"]`` and ``info["final_info"]``) or ``DISABLED`` (the caller resets
             with ``options={"reset_mask": ...}``).
+        goal_observation: As in :class:`~hvf.envs.maze.env.MazeEnv`: dicts of arrays ``[N, ...]``,
+            and a ``compute_reward``.
 
     Raises:
         ValueError: for a setting out of range.
@@ -55,6 +57,7 @@ class MazeVectorEnv(VectorEnv[Image, NDArray[np.float32], NDArray[Any]]):
         reward: Reward = "sparse",
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        goal_observation: bool = False,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs: must be at least 1, got {num_envs}")
@@ -62,7 +65,9 @@ class MazeVectorEnv(VectorEnv[Image, NDArray[np.float32], NDArray[Any]]):
             raise ValueError(f"max_episode_steps: must be at least 1, got {max_episode_steps}")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode: must be None or 'rgb_array', got {render_mode!r}")
-        self.task = MazeTask(difficulty, image_size, reward, render_mode)
+        self.task = MazeTask(difficulty, image_size, reward, render_mode, goal_observation)
+        if goal_observation:
+            self.compute_reward = self.task.rewards_of_goals
         self.num_envs = num_envs
         self.max_episode_steps = max_episode_steps
         self.render_mode = render_mode
@@ -90,7 +95,7 @@ class MazeVectorEnv(VectorEnv[Image, NDArray[np.float32], NDArray[Any]]):
         *,
         seed: int | list[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Image, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Start the next episode of every maze, or the first one of its seed.
 
         Args:
@@ -113,11 +118,11 @@ class MazeVectorEnv(VectorEnv[Image, NDArray[np.float32], NDArray[Any]]):
                 if seed[index] is not None:
                     self._seeds[index], self._episodes[index] = seed[index], 0
         self._next_episodes(mask, options)
-        return self.task.observe(self._states), self._infos(mask)
+        return self.task.observations(self._states, self._targets), self._infos(mask)
 
     def step(
         self, actions: NDArray[np.float32]
-    ) -> tuple[Image, NDArray[np.float64], Bools, Bools, dict[str, Any]]:
+    ) -> tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]:
         """Apply forces ``[N, 2]`` for half a second.
 
         Raises:
@@ -146,14 +151,14 @@ class MazeVectorEnv(VectorEnv[Image, NDArray[np.float32], NDArray[Any]]):
         rewards = self.task.rewards(infos["success"], infos["distance"])
         rewards[restarted] = 0.0
         ended = terminated | truncated
-        observations = self.task.observe(self._states)
+        observations = self.task.observations(self._states, self._targets)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             final = {key: value for key, value in infos.items() if not key.startswith("_")}
+            # Gymnasium gives the last observations one by one.
             last = np.full(self.num_envs, None, dtype=object)
-            for index in np.flatnonzero(ended):
-                last[index] = observations[index].copy()
+            last[ended] = _apart(observations, ended)
             self._next_episodes(ended, {})
-            observations[ended] = self.task.observe(self._states[ended])
+            observations = self.task.observations(self._states, self._targets)
             infos = self._infos(np.ones(self.num_envs, np.bool_))
             infos |= {"final_obs": last, "_final_obs": ended.copy()}
             infos |= {"final_info": _masked(final, ended), "_final_info": ended.copy()}
@@ -211,6 +216,18 @@ class MazeVectorEnv(VectorEnv[Image, NDArray[np.float32], NDArray[Any]]):
             "distance": self.task.distances(self._states, self._targets),
         }
         return _masked(infos, mask)
+
+
+def _apart(observations: Any, mask: Bools) -> NDArray[Any]:
+    """The masked ones of a batch of observations, one object each."""
+    which = np.flatnonzero(mask)
+    found = np.empty(len(which), dtype=object)
+    for place, index in enumerate(which):
+        if isinstance(observations, dict):
+            found[place] = {name: part[index].copy() for name, part in observations.items()}
+        else:
+            found[place] = observations[index].copy()
+    return found
 
 
 def _masked(infos: dict[str, NDArray[Any]], mask: Bools) -> dict[str, Any]:

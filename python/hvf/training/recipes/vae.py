@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 import hvf_core
-from hvf.data.loader import EpisodePool, PairSampler
+from hvf.data.loader import PairSampler
 from hvf.images import frame_grid
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.vae import (
@@ -25,6 +25,7 @@ from hvf.models.vae import (
     CVAEConfig,
     gaussian_kl,
 )
+from hvf.models.vae_config import RIG_VAE
 from hvf.training.loop import LoopConfig, Validation, seeded
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
 
@@ -77,15 +78,20 @@ class CVAERecipe(Recipe):
 
     def stages(self, data: TrainingData) -> Stages:
         """One stage: images given others of their episode."""
+        yield self.stage(data)
+
+    def stage(self, data: TrainingData) -> Stage:
+        """The one stage."""
         seed = self.loop.seed
         config = self.fitting(data)
         pool = data.pool(self.memory_gb)
         pairs = PairSampler(data.held_out, _PAIRS, seed).batch(0)
         model = seeded(seed, lambda: self.model_class(config))
         if config.centred:
-            model.centre(_frames(pool))
+            pool.move_to(0)
+            model.centre(torch.from_numpy(pool.frames_every(_MEAN_STRIDE)))
         probe = PROBES.get(data.environment)
-        yield Stage(
+        return Stage(
             model,
             PairSampler(pool, self.batch_size, seed),
             self.loop,
@@ -111,7 +117,8 @@ class VAERecipe(CVAERecipe):
     """Training of the paper's VAE: images of the only scene that there is.
 
     Preset ``paper`` has the paper's loss; what the paper does not say is as in the released code
-    of the CVAE (see :mod:`hvf.models.vae_config`).
+    of the CVAE (see :mod:`hvf.models.vae_config`). Preset ``rig`` is the VAE of RIG, trained as in
+    rlkit: 501 epochs of 100 batches.
 
     Attributes:
         batch_size: images per step.
@@ -127,7 +134,12 @@ class VAERecipe(CVAERecipe):
             "model": PAPER_VAE,
             "batch_size": 256,
             "loop": dataclasses.replace(_PAPER_LOOP, learning_rate=1e-3),
-        }
+        },
+        "rig": {
+            "model": RIG_VAE,
+            "batch_size": 128,
+            "loop": dataclasses.replace(_PAPER_LOOP, steps=50_100, learning_rate=1e-3),
+        },
     }
 
     model: CVAEConfig = DESK_VAE
@@ -136,13 +148,6 @@ class VAERecipe(CVAERecipe):
         super().__post_init__()
         if self.model.conditional:
             raise ValueError("model.conditional must be False for a VAE")
-
-
-def _frames(pool: EpisodePool) -> torch.Tensor:
-    """Frames of the first step's episodes, for the mean image."""
-    pool.move_to(0)
-    times = np.arange(0, pool.frames.shape[1], _MEAN_STRIDE)
-    return torch.from_numpy(pool.frames[:, times][times <= pool.lengths[:, None]])
 
 
 # Samples and what a true image of the same scene looks like, both uint8 [N, H, W, 3], to metrics.

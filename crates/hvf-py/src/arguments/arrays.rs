@@ -1,0 +1,233 @@
+//! Arrays: either NumPy's own memory of one dtype ([`array`]) or a copy of whatever
+//! `numpy.asarray` makes numbers of ([`numbers`]).
+
+use ndarray::{Array, ArrayView, Dimension, Ix1};
+use numpy::{
+    Element, PyArray, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArray,
+    PyUntypedArray, PyUntypedArrayMethods,
+};
+use pyo3::exceptions::{PyException, PyMemoryError, PyOverflowError, PyTypeError, PyValueError};
+use pyo3::intern;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList, PyTuple};
+
+use super::{describe, is_no_such_thing, unfit, wrong_type};
+
+/// Most items of a sequence that is no array, list or tuple: NumPy asks such objects for one item
+/// after the other.
+const MOST_ITEMS: usize = 1 << 24;
+
+/// NumPy's memory as it is. `expected` names dtype and axes, as in `uint8 [N, H, W, 3]`.
+///
+/// Refused with the one message `argument: expected .., got ..` are another dtype (TypeError),
+/// another number of axes, and memory that Rust must not read as `T`: misaligned, or with steps
+/// that are no multiple of an item, as in a field of a packed structure (ValueError).
+pub fn array<'py, T: Element, D: Dimension>(
+    argument: &str,
+    object: &Bound<'py, PyAny>,
+    expected: &str,
+) -> PyResult<PyReadonlyArray<'py, T, D>> {
+    let Ok(found) = object.cast::<PyUntypedArray>() else {
+        return Err(wrong_type(argument, expected, object));
+    };
+    if !found.dtype().is_equiv_to(&T::get_dtype(object.py())) {
+        return Err(wrong_type(argument, expected, object));
+    }
+    if D::NDIM != Some(found.ndim()) {
+        return Err(PyValueError::new_err(unfit(argument, expected, object)));
+    }
+    let item = size_of::<T>() as isize;
+    if !found.is_aligned() || found.strides().iter().any(|stride| stride % item != 0) {
+        let problem = unfit(argument, expected, object);
+        return Err(PyValueError::new_err(format!(
+            "{problem} whose memory is misaligned or packed (numpy.array copies it)"
+        )));
+    }
+    fits::<T>(argument, found.len(), object)?;
+    let array =
+        object.cast::<PyArray<T, D>>().map_err(|_| wrong_type(argument, expected, object))?;
+    let borrowed = array.try_readonly();
+    borrowed.map_err(|error| PyValueError::new_err(format!("{argument}: {error}")))
+}
+
+/// The number of axes of an object that is an array of `T`.
+pub fn axes_of<T: Element>(object: &Bound<'_, PyAny>) -> Option<usize> {
+    let array = object.cast::<PyUntypedArray>().ok()?;
+    array.dtype().is_equiv_to(&T::get_dtype(object.py())).then(|| array.ndim())
+}
+
+/// A copy of a bool array. Its memory is read as bytes, since NumPy lets a bool be any byte.
+pub fn booleans<D: Dimension>(
+    argument: &str,
+    object: &Bound<'_, PyAny>,
+    expected: &str,
+) -> PyResult<Array<bool, D>> {
+    if axes_of::<bool>(object).is_none() {
+        return Err(wrong_type(argument, expected, object));
+    }
+    let py = object.py();
+    let ndarray = py.import(intern!(py, "numpy"))?.getattr(intern!(py, "ndarray"))?;
+    let view = ndarray.call_method1(intern!(py, "view"), (object, intern!(py, "uint8")))?;
+    let bytes = array::<u8, D>(argument, &view, expected)
+        .map_err(|_| PyValueError::new_err(unfit(argument, expected, object)))?;
+    fits::<bool>(argument, bytes.len(), object)?;
+    Ok(bytes.as_array().mapv(|byte| byte != 0))
+}
+
+/// A copy of anything that `numpy.asarray` makes an array of booleans, integers or floats of,
+/// converted to `T`; `expected` names the axes, as in `a float array [N, 4]`.
+pub fn numbers<T: Element + Copy, D: Dimension>(
+    argument: &str,
+    object: &Bound<'_, PyAny>,
+    expected: &str,
+) -> PyResult<Array<T, D>> {
+    let py = object.py();
+    let found = numpy_array(argument, object, expected)?;
+    let found = found.cast::<PyUntypedArray>()?;
+    if !['b', 'i', 'u', 'f'].contains(&kind(found)?) {
+        return Err(wrong_type(argument, expected, found));
+    }
+    if D::NDIM != Some(found.ndim()) {
+        return Err(PyValueError::new_err(unfit(argument, expected, found)));
+    }
+    // Only a broadcast array is larger than memory: refuse it before it is written out.
+    fits::<T>(argument, found.len(), found)?;
+    let options = PyDict::new(py);
+    options.set_item(intern!(py, "dtype"), T::get_dtype(py))?;
+    options.set_item(intern!(py, "requirements"), ("C", "A"))?;
+    let plain = py.import(intern!(py, "numpy"))?.call_method(
+        intern!(py, "require"),
+        (found,),
+        Some(&options),
+    )?;
+    let plain = array::<T, D>(argument, &plain, expected)?;
+    copied(argument, plain.as_array(), object)
+}
+
+/// `N` numbers.
+pub fn point<const N: usize>(argument: &str, object: &Bound<'_, PyAny>) -> PyResult<[f32; N]> {
+    let expected = format!("{N} numbers");
+    let found = numbers::<f32, Ix1>(argument, object, &expected)?;
+    let point = found.to_vec().try_into();
+    point.map_err(|_| PyValueError::new_err(unfit(argument, &expected, object)))
+}
+
+/// What `numpy.asarray` makes of an object, of whatever dtype.
+pub fn numpy_array<'py>(
+    argument: &str,
+    object: &Bound<'py, PyAny>,
+    expected: &str,
+) -> PyResult<Bound<'py, PyAny>> {
+    if object.is_instance_of::<PyUntypedArray>() {
+        return Ok(object.clone());
+    }
+    let py = object.py();
+    let items = listed(argument, object)?;
+    let numpy = py.import(intern!(py, "numpy"))?;
+    let made = numpy.call_method1(intern!(py, "asarray"), (items.as_ref().unwrap_or(object),));
+    made.map_err(|exception| {
+        let complaint = if is_no_such_thing(py, &exception) {
+            wrong_type(argument, expected, object)
+        } else if exception.is_instance_of::<PyOverflowError>(py)
+            || exception.get_type(py).is(py.get_type::<PyValueError>())
+        {
+            PyValueError::new_err(unfit(argument, expected, object))
+        } else {
+            return exception;
+        };
+        complaint.set_cause(py, Some(exception));
+        complaint
+    })
+}
+
+/// The items of a sequence of a class of its own as a list, as many as it says it has.
+fn listed<'py>(argument: &str, object: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>> {
+    let py = object.py();
+    if object.is_instance_of::<PyList>() || object.is_instance_of::<PyTuple>() {
+        return Ok(None);
+    }
+    for method in ["__array__", "__array_interface__", "__array_struct__", "__buffer__"] {
+        if object.hasattr(method)? {
+            return Ok(None);
+        }
+    }
+    if !(object.hasattr(intern!(py, "__len__"))? && object.hasattr(intern!(py, "__getitem__"))?) {
+        return Ok(None);
+    }
+    let count = match object.len() {
+        Ok(count) => count,
+        Err(exception) if exception.is_instance_of::<PyOverflowError>(py) => usize::MAX,
+        Err(exception) if is_no_such_thing(py, &exception) => return Ok(None),
+        Err(exception) => return Err(exception),
+    };
+    if count > MOST_ITEMS {
+        return Err(PyValueError::new_err(format!(
+            "{argument}: {} of {count} items is too long",
+            describe(object)
+        )));
+    }
+    let items = PyList::empty(py);
+    let Ok(iterator) = object.try_iter() else {
+        return Ok(None);
+    };
+    for item in iterator.take(count) {
+        items.append(item?)?;
+    }
+    Ok(Some(items.into_any()))
+}
+
+/// The letter of an array's dtype: `f` for floats of any size, and so on.
+fn kind(array: &Bound<'_, PyUntypedArray>) -> PyResult<char> {
+    let py = array.py();
+    array.getattr(intern!(py, "dtype"))?.getattr(intern!(py, "kind"))?.extract()
+}
+
+/// A copy of a view, or a MemoryError.
+fn copied<T: Copy, D: Dimension>(
+    argument: &str,
+    view: ArrayView<'_, T, D>,
+    object: &Bound<'_, PyAny>,
+) -> PyResult<Array<T, D>> {
+    let mut values = Vec::new();
+    values.try_reserve_exact(view.len()).map_err(|_| no_memory(argument, object))?;
+    values.extend(view.iter().copied());
+    Array::from_shape_vec(view.raw_dim(), values)
+        .map_err(|error| PyValueError::new_err(format!("{argument}: {error}")))
+}
+
+/// A MemoryError where `count` values of `T` do not fit into memory: a broadcast array says that
+/// it has more of them than it holds.
+pub fn fits<T>(argument: &str, count: usize, object: &Bound<'_, PyAny>) -> PyResult<()> {
+    Vec::<T>::new().try_reserve_exact(count).map_err(|_| no_memory(argument, object))
+}
+
+fn no_memory(argument: &str, object: &Bound<'_, PyAny>) -> PyErr {
+    PyMemoryError::new_err(format!("{argument}: {} does not fit into memory", describe(object)))
+}
+
+/// A new array with undefined content. `argument` is what makes it as large as it is: NumPy
+/// refuses shapes that no array can have (ValueError) or that memory has no room for
+/// (MemoryError).
+pub fn new_array<'py, T: Element>(
+    py: Python<'py>,
+    argument: &str,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    let numpy = py.import(intern!(py, "numpy"))?;
+    let made = numpy.call_method1(intern!(py, "empty"), (shape, T::get_dtype(py)));
+    let array = made.map_err(|exception| {
+        if !exception.is_instance_of::<PyException>(py) {
+            return exception;
+        }
+        let problem = format!("{argument}: {}", exception.value(py));
+        let complaint = match exception.is_instance_of::<PyMemoryError>(py) {
+            true => PyMemoryError::new_err(problem),
+            false => PyValueError::new_err(problem),
+        };
+        complaint.set_cause(py, Some(exception));
+        complaint
+    })?;
+    array.cast_into::<PyArrayDyn<T>>().map_err(|_| {
+        PyTypeError::new_err("numpy.empty: expected it to give an array of the dtype asked for")
+    })
+}

@@ -1,0 +1,262 @@
+//! The latent world for Python: `LatentWorld`, `LatentFrames`.
+
+use hvf_core_rs::image::OverHorizon;
+use hvf_core_rs::latent::{Known, LatentFrames, LatentWorld};
+use hvf_core_rs::planner::{ActionSpace, Frames, WorldModel};
+use ndarray::{Array, Array2, Array4, ArrayView, Dimension, Ix1};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray4, PyArrayLikeDyn, PyReadonlyArray1, PyReadonlyArray2,
+    PyReadonlyArray3, PyReadonlyArray4,
+};
+use pyo3::exceptions::{PyAttributeError, PyIndexError, PyTypeError, PyValueError};
+use pyo3::prelude::*;
+
+use crate::error::to_py;
+use crate::latent_weights::{self, array};
+use crate::planner::arguments::Whole;
+
+/// The most numbers that one call takes actions of.
+const MAX_VALUES: usize = 1 << 28;
+
+/// Frames of a `LatentWorld`: latents, and what is known of the frames besides. Immutable; the stub
+/// file describes every argument.
+#[pyclass(name = "LatentFrames", module = "hvf_core", frozen)]
+pub struct PyLatentFrames {
+    /// The frames.
+    pub inner: LatentFrames,
+}
+
+#[pymethods]
+impl PyLatentFrames {
+    #[new]
+    #[pyo3(signature = (latents, targets=None, constants=None, images=None))]
+    fn new(
+        latents: &Bound<'_, PyAny>,
+        targets: Option<&Bound<'_, PyAny>>,
+        constants: Option<&Bound<'_, PyAny>>,
+        images: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let latents: PyReadonlyArray2<'_, f32> = array("latents", "float32 [N, Z]", latents)?;
+        let targets: Option<PyReadonlyArray2<'_, f32>> =
+            targets.map(|given| array("targets", "float32 [N, P]", given)).transpose()?;
+        let constants: Option<PyReadonlyArray1<'_, f32>> =
+            constants.map(|given| array("constants", "float32 [N]", given)).transpose()?;
+        let images: Option<PyReadonlyArray4<'_, u8>> =
+            images.map(|given| array("images", "uint8 [N, H, W, 3]", given)).transpose()?;
+        let known = Known {
+            targets: targets.as_ref().map(|rows| rows.as_array()),
+            constants: constants.as_ref().map(|numbers| numbers.as_array()),
+            images: images.as_ref().map(|images| images.as_array()),
+        };
+        Ok(Self { inner: LatentFrames::new(latents.as_array(), known).map_err(to_py)? })
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.len()
+    }
+
+    /// The frames at `index`: an integer (one frame, still a batch) or an integer array.
+    fn __getitem__(&self, index: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let complaint = || PyTypeError::new_err("index: expected an integer or an int64 array");
+        let index: Vec<i64> = match index.extract::<i64>() {
+            Ok(one) => vec![one],
+            Err(_) => {
+                let many: PyArrayLikeDyn<'_, i64> = index.extract().map_err(|_| complaint())?;
+                let many = many.as_array().to_owned();
+                many.into_dimensionality::<Ix1>().map_err(|_| complaint())?.to_vec()
+            }
+        };
+        let count = self.inner.len() as i64;
+        let picked = index
+            .into_iter()
+            .map(|i| match i {
+                0.. if i < count => Ok(i as usize),
+                ..0 if i >= -count => Ok((i + count) as usize),
+                _ => Err(PyIndexError::new_err(format!("index {i} is beyond {count} frames"))),
+            })
+            .collect::<PyResult<Vec<usize>>>()?;
+        Ok(Self { inner: self.inner.select(&picked).map_err(to_py)? })
+    }
+
+    /// The latents, float32 `[N, Z]` (a copy).
+    #[getter]
+    fn latents<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        let shape = (self.inner.len(), self.inner.latent_dim());
+        Array2::from_shape_fn(shape, |(i, z)| self.inner.latent(i)[z]).into_pyarray(py)
+    }
+
+    /// What read-outs are compared with, float32 `[N, P]` (a copy), or None.
+    #[getter]
+    fn targets<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray2<f32>>> {
+        let shape = (self.inner.len(), self.inner.target_dim()?);
+        let value = |(i, p)| self.inner.target(i).map_or(0.0, |target| target[p]);
+        Some(Array2::from_shape_fn(shape, value).into_pyarray(py))
+    }
+
+    /// What predicted frames cost more, float32 `[N]` (a copy).
+    #[getter]
+    fn constants<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        let constants = (0..self.inner.len()).map(|i| self.inner.constant(i));
+        PyArray1::from_iter(py, constants)
+    }
+
+    /// The images, uint8 `[N, H, W, 3]` (a copy). Raises AttributeError where none were given.
+    #[getter]
+    fn images<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
+        let kept = self
+            .inner
+            .images()
+            .ok_or_else(|| PyAttributeError::new_err("images: these frames keep none"))?;
+        let shape = (self.inner.len(), kept.height, kept.width, 3);
+        Ok(Array4::from_shape_vec(shape, kept.bytes).unwrap_or_default().into_pyarray(py))
+    }
+
+    fn __repr__(&self) -> String {
+        format!("LatentFrames({} frames of {})", self.inner.len(), self.inner.latent_dim())
+    }
+}
+
+/// A world whose frames are latents, moved by a network that is given by its weights. The stub file
+/// describes every argument.
+///
+/// `dynamics` is a dict: of a network with residual blocks (`input`, `blocks`, `output`,
+/// `activation`, `scale`), or the weights of a `torch.nn.GRUCell` under their names there. `readout`
+/// is None, a matrix, or a dict of a network. The planners use it without the GIL.
+#[pyclass(name = "LatentWorld", module = "hvf_core", frozen)]
+pub struct PyLatentWorld {
+    /// The world.
+    pub inner: LatentWorld,
+}
+
+#[pymethods]
+impl PyLatentWorld {
+    #[new]
+    #[pyo3(signature = (
+        action_low, action_high, dynamics, *, readout=None, weights=None, over_horizon="last",
+        hold=Whole(1)
+    ), text_signature = "(action_low, action_high, dynamics, *, readout=None, weights=None, \
+                         over_horizon='last', hold=1)")]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        action_low: Vec<f32>,
+        action_high: Vec<f32>,
+        dynamics: &Bound<'_, PyAny>,
+        readout: Option<&Bound<'_, PyAny>>,
+        weights: Option<&Bound<'_, PyAny>>,
+        over_horizon: &str,
+        hold: Whole,
+    ) -> PyResult<Self> {
+        let actions = ActionSpace::new(action_low, action_high).map_err(to_py)?;
+        let over_horizon = OverHorizon::from_name(over_horizon).map_err(to_py)?;
+        let hold = hold.count("hold")?;
+        let dynamics = latent_weights::dynamics(dynamics)?;
+        let cost = latent_weights::cost(dynamics.latent_dim(), readout, weights)?;
+        let made = LatentWorld::new(dynamics, cost, actions, over_horizon, hold);
+        Ok(Self { inner: made.map_err(to_py)? })
+    }
+
+    /// Lowest action, float32 `[A]`.
+    #[getter]
+    fn action_low<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        PyArray1::from_slice(py, self.inner.action_space().low())
+    }
+
+    /// Highest action, float32 `[A]`.
+    #[getter]
+    fn action_high<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        PyArray1::from_slice(py, self.inner.action_space().high())
+    }
+
+    /// Length of a latent, `Z`.
+    #[getter]
+    fn latent_dim(&self) -> usize {
+        self.inner.latent_dim()
+    }
+
+    /// Which predicted frames count.
+    #[getter]
+    fn over_horizon(&self) -> &'static str {
+        self.inner.over_horizon().name()
+    }
+
+    /// Steps of actions that one step of the dynamics is long.
+    #[getter]
+    fn hold(&self) -> usize {
+        self.inner.hold()
+    }
+
+    /// The most candidates that the planners should ask for in one call.
+    #[getter]
+    fn max_candidates(&self) -> usize {
+        self.inner.max_candidates()
+    }
+
+    /// Planning costs float32 `[B, D]` of `actions [B, D, H, A]`.
+    fn rollout_costs<'py>(
+        &self,
+        py: Python<'py>,
+        starts: &PyLatentFrames,
+        goals: &PyLatentFrames,
+        actions: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let actions = array("actions", "float32 [B, D, H, A]", actions)?;
+        let actions = owned(actions.as_array())?;
+        let costs = py
+            .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions.into()))
+            .map_err(to_py)?;
+        Ok(costs.into_pyarray(py))
+    }
+
+    /// Planning costs float32 `[B, D]` of `actions [D, H, A]` from one start for every goal: those
+    /// of `rollout_costs`, to the last bit.
+    fn shared_rollout_costs<'py>(
+        &self,
+        py: Python<'py>,
+        start: &PyLatentFrames,
+        goals: &PyLatentFrames,
+        actions: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let actions: PyReadonlyArray3<'_, f32> = array("actions", "float32 [D, H, A]", actions)?;
+        let actions = owned(actions.as_array())?;
+        let costs = py
+            .detach(|| self.inner.shared_costs(&start.inner, &goals.inner, actions.view()))
+            .map_err(to_py)?;
+        Ok(costs.into_pyarray(py))
+    }
+
+    /// Predicted latents float32 `[B, D, H / hold, Z]` of `actions [B, D, H, A]`.
+    fn rollout<'py>(
+        &self,
+        py: Python<'py>,
+        starts: &PyLatentFrames,
+        actions: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray4<f32>>> {
+        let actions = array("actions", "float32 [B, D, H, A]", actions)?;
+        let actions: Array4<f32> = owned(actions.as_array())?;
+        let paths =
+            py.detach(|| self.inner.rollout(&starts.inner, actions.view())).map_err(to_py)?;
+        Ok(paths.into_pyarray(py))
+    }
+
+    fn __repr__(&self) -> String {
+        let (latent, dim) = (self.inner.latent_dim(), self.inner.action_space().dim());
+        format!("LatentWorld(latents of {latent}, actions of {dim})")
+    }
+}
+
+/// A copy of actions, if they are not more than any memory holds (arrays may repeat themselves).
+fn owned<D: Dimension>(actions: ArrayView<'_, f32, D>) -> PyResult<Array<f32, D>> {
+    if actions.len() > MAX_VALUES {
+        return Err(PyValueError::new_err(format!(
+            "actions: must be at most {MAX_VALUES} numbers, got {:?}",
+            actions.shape()
+        )));
+    }
+    Ok(actions.to_owned())
+}
+
+/// Adds this file's classes to the module.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyLatentWorld>()?;
+    module.add_class::<PyLatentFrames>()
+}

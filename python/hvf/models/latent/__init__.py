@@ -1,0 +1,1 @@
+"""The latent model: a general compact world model that plans without drawing a frame."""
