@@ -37,6 +37,7 @@ VERBS: dict[str, Verb] = {
     "data": Verb("hvf.cli.data", "import", "episodes from recordings of real robots; resumable"),
     "train": Verb("hvf.cli.train", "MODEL", "train a model on any episodes; resumable"),
     "probe": Verb("hvf.cli.probe", "", "what a trained model predicts, in numbers and pictures"),
+    "report": Verb("hvf.cli.report", "DOMAIN", "models on many recorded episodes; resumable"),
     "export": Verb("hvf.cli.export", "", "a trained model in half precision"),
 }
 
