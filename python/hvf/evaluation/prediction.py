@@ -185,7 +185,7 @@ def image_figures(
             part = slice(i, i + _AT_ONCE)
             truth = windows.future[part][:, chosen]
             found[name].append(measure(drawn[part][:, chosen], truth))
-            still = np.broadcast_to(windows.start[part, None], truth.shape)
+            still = windows.start[part, None].repeat(truth.shape[1], axis=1)
             found[f"{name}_still"].append(measure(still, truth))
         for key, values in found.items():
             means = dict(zip(steps, np.concatenate(values).mean(axis=0).round(4), strict=True))
