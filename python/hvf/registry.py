@@ -89,7 +89,11 @@ class Registry(Generic[T]):
 DOMAINS: Registry[Domain] = Registry(
     "domain",
     "hvf.domains",
-    {"maze": "hvf.domains.maze:MAZE", "desk": "hvf.domains.desk:DESK"},
+    {
+        "maze": "hvf.domains.maze:MAZE",
+        "desk": "hvf.domains.desk:DESK",
+        "video": "hvf.domains.video:VIDEO",
+    },
 )
 """Places to plan in."""
 

@@ -7,14 +7,32 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hvf.protocols import Frames, Images
+from hvf.protocols import Frames, Images, Remembering
 
 
 def observed(world: Any, images: Images) -> Any:
     """What a world makes of ``images[N, H, W, 3]``: its own frames, or the images as they are."""
     observe = getattr(world, "observe", None)
     return images if observe is None else observe(images)
+
+
+def remembered(world: Remembering[Any], history: Images, actions: NDArray[np.float32]) -> Any:
+    """What a world with context makes of the last of its images, ``[N]``.
+
+    Args:
+        world: looks ``C`` frames back.
+        history: images uint8 ``[N, L, H, W, 3]``, the last one being now. The first one is repeated
+            where they are too few.
+        actions: between them, float32 ``[N, L - 1, A]``.
+    """
+    missing = max(0, world.context - history.shape[1])
+    images = np.concatenate([history[:, :1].repeat(missing, axis=1), history], axis=1)
+    before = np.zeros((len(history), missing, actions.shape[2]), np.float32)
+    done = np.concatenate([before, actions], axis=1)
+    first = images.shape[1] - world.context
+    return world.observe_history(images[:, first:], done[:, first:])
 
 
 def has_images(frames: Any) -> bool:

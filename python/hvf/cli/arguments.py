@@ -150,6 +150,24 @@ def evaluating(
     )
 
 
+def on_recorded(config: type[ConfigT], verb: str, domain: Domain, words: Sequence[str]) -> ConfigT:
+    """A config for recorded episodes, with a preset of the domain as its defaults.
+
+    Args:
+        config: its class; a dataclass with fields ``data``, ``preset`` and ``planning``.
+        verb: for the usage line.
+        domain: whose presets.
+        words: the command line after the domain.
+    """
+    preset = preset_named(words)
+    planning = domain.preset(preset).planning
+    default: Any = config(data=tyro.MISSING, preset=preset, planning=planning)  # type: ignore[call-arg]
+    about = (config.__doc__ or "").partition("\n\n    Attributes:")[0]
+    lines = [f"preset {name}: {known.about}" for name, known in domain.presets.items()]
+    description = "\n\n".join([about, *lines])
+    return parsed(config, f"{verb} {domain.name}", words, default=default, description=description)
+
+
 def preset_named(words: Sequence[str]) -> str:
     """The preset that a command line asks for: its settings are the defaults of the others."""
     scanner = argparse.ArgumentParser(add_help=False, allow_abbrev=False)

@@ -5,21 +5,27 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
+import tyro
 from rich.console import Console
 
-from hvf.cli.arguments import parsed
+from hvf.cli.arguments import on_recorded
 from hvf.domains.domain import Domain
-from hvf.settings import World
+from hvf.settings import Planning, World
 
 
 @dataclasses.dataclass(frozen=True)
 class Recorded:
     """Search for subgoals between two frames of a recorded episode; write a picture.
 
-    Nothing is acted, so that it works on video of what nobody can simulate. Example:
+    Nothing is acted, so that it works on video of what nobody can simulate. Below each subgoal
+    stands the nearest of the training frames; a JSON file beside the picture has what each segment
+    costs to plan, and what the plan straight to the goal costs. Example:
 
-        hvf plan maze --data data/maze.h5 --episode 3 --first 0 --last 29 --subgoals 2
+        hvf plan video --data data/bair-test.h5 --train-data data/bair.h5 --episode 3
+        --from 0 --to 29 --subgoals 2 --dynamics runs/sv2p/model.safetensors
+        --generator runs/cvae/model.safetensors
 
     Attributes:
         data: file of episodes.
@@ -29,19 +35,26 @@ class Recorded:
         subgoals: how many (K).
         dynamics: a checkpoint, or a name of the domain's models.
         generator: a checkpoint, or a name of the domain's models.
-        preset: plan settings, by name.
+        camera: whose frames; the first one's by default.
+        train_data: file of the training episodes that neighbours are looked for in; by default the
+            training episodes of the data, if it has any.
+        preset: plan settings, by name; the others begin with them.
+        planning: plan settings.
         out: folder for the picture.
         seed: of the search.
     """
 
     data: Path
     episode: int = 0
-    first: int = 0
-    last: int = -1
+    first: Annotated[int, tyro.conf.arg(name="from", aliases=("--first",))] = 0
+    last: Annotated[int, tyro.conf.arg(name="to", aliases=("--last",))] = -1
     subgoals: int = 2
     dynamics: str = "default"
     generator: str = "default"
+    camera: str | None = None
+    train_data: Path | None = None
     preset: str = "default"
+    planning: Planning = Planning()
     out: Path = Path("outputs/plan")
     seed: int = 0
 
@@ -55,27 +68,34 @@ class Recorded:
 def run(domain: Domain, words: Sequence[str]) -> None:
     """Search, and write what was found."""
     from hvf.data.formats import open_episodes
-    from hvf.evaluation.between import load_for, search_between
+    from hvf.evaluation.between import Recorded as Episode
+    from hvf.evaluation.between import load_for, training_episodes
+    from hvf.evaluation.neighbours import nearest_frames
 
-    config = parsed(Recorded, f"plan {domain.name}", words)
-    planning = domain.preset(config.preset).planning
+    config = on_recorded(Recorded, "plan", domain, words)
     console = Console()
-    with open_episodes(config.data) as file:
-        if config.episode >= len(file):
-            raise ValueError(f"episode: {config.data} has {len(file)}, got {config.episode}")
-        episode = file.read(config.episode, 1)
-        frames = episode.frames[0, : int(episode.lengths[0]) + 1]
-    numbers = range(len(frames))
-    for name, number in (("first", config.first), ("last", config.last)):
-        if not -len(frames) <= number < len(frames):
-            raise ValueError(f"{name}: the episode has {len(frames)} frames, got {number}")
-    start, goal = frames[numbers[config.first]], frames[numbers[config.last]]
-    with console.status("loading models"):
-        loaded = load_for(domain, World(config.dynamics, config.generator), planning)
-    with console.status(f"searching for {config.subgoals} subgoals"):
-        found = search_between(loaded, planning, start, goal, config.subgoals, config.seed)
-    out = (
-        config.out / f"episode-{config.episode}-{numbers[config.first]}-{numbers[config.last]}.png"
-    )
+    with (
+        open_episodes(config.data, camera=config.camera) as file,
+        open_episodes(config.train_data or config.data, camera=config.camera) as known,
+    ):
+        episode = Episode.read(file, config.episode)
+        ends = episode.at("from", config.first), episode.at("to", config.last)
+        with console.status("loading models"):
+            loaded = load_for(domain, World(config.dynamics, config.generator), config.planning)
+        with console.status(f"searching for {config.subgoals} subgoals"):
+            found = episode.search(loaded, config.planning, ends, config.subgoals, config.seed)
+        training = training_episodes(known)
+        if training is None:
+            console.print("no nearest training frames: name the training episodes, --train-data")
+        else:
+            # Its own frames would be no news.
+            own = config.episode if config.train_data is None else None
+            others = [number for number in training if number != own]
+            with console.status("looking for the nearest training frames"):
+                nearest = nearest_frames(known, others, found.subgoals)
+            found = dataclasses.replace(found, nearest=nearest)
+    out = config.out / f"episode-{config.episode}-{ends[0]}-{ends[1]}.png"
     found.write(out)
     console.print(f"{out}: {found.title}", highlight=False)
+    costs = " + ".join(f"{cost:.3g}" for cost in found.segment_costs)
+    console.print(f"segments {costs}; without subgoals {found.direct_cost:.3g}", highlight=False)

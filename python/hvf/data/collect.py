@@ -1,30 +1,20 @@
-"""Collecting random interaction, in parts that survive being stopped.
+"""Collecting random interaction, in parts that survive being stopped (:mod:`hvf.data.parts`).
 
-Parts of a few episodes are written to ``<out>.parts/``, each whole or not at all, and joined to
-``out`` at the end. An episode is a function of (seed, number), so a collection that was stopped
-goes on where it was and ends in the same file.
+An episode is a function of (seed, number), so a collection that was stopped goes on where it was
+and ends in the same file.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import shutil
 from collections.abc import Callable, Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import h5py
-import numpy as np
 from rich.console import Console
 
-import hvf_core
-from hvf.cores import cores
 from hvf.data.episodes import Episodes, Metadata
-from hvf.data.formats import open_episodes
-from hvf.data.formats.hdf5 import FORMAT, EpisodeFile, join_files, write_episodes
-from hvf.files import replacing
-from hvf.progress import progress
+from hvf.data.parts import Made, program_versions, write_in_parts
 
 # (seed, first episode, number of episodes, steps) to episodes.
 Rollouts = Callable[[int, int, int, int], Episodes]
@@ -107,7 +97,6 @@ def collect(
         OSError: full disk, no permission; what was written so far stays, and is used again.
         KeyboardInterrupt: stopped; the same call goes on from there.
     """
-    console = console or Console()
     wanted = Metadata(
         environment,
         parameters,
@@ -121,103 +110,16 @@ def collect(
         action_low,
         action_high,
     )
-    folder = config.out.with_name(f"{config.out.name}.parts")
-    if config.out.is_dir():
-        raise ValueError(f"out: {config.out} is a directory; name a file in it")
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"out: {folder}, where parts go, is not a directory")
-    if config.out.exists() and not config.overwrite:
-        if _is_complete(config.out, wanted):
-            console.print(f"{config.out}: already complete")
-            return config.out
-        raise FileExistsError(
-            f"{config.out}: holds something else; choose another out, or overwrite"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    parts = [
-        (folder / f"{first:09d}-{config.part}.h5", first)
-        for first in range(0, config.episodes, config.part)
-    ]
-    description = f"collecting {environment}"
-    with progress(console, description, config.episodes, "episodes", transient=False) as bar:
-        diverged = 0
-        try:
-            for path, first in parts:
-                count = min(config.part, config.episodes - first)
-                if not path.exists():
-                    made = rollouts(config.seed, first, count, config.steps)
-                    with replacing(path) as temporary:
-                        write_episodes(
-                            temporary,
-                            dataclasses.replace(wanted, episodes=count, diverged=made.diverged),
-                            made,
-                            cores(),
-                        )
-                diverged += _check_part(path, wanted, count)
-                bar.advance(count, note=f"{diverged} diverged" if diverged else None)
-            with replacing(config.out) as temporary:
-                total = dataclasses.replace(wanted, diverged=diverged)
-                join_files(temporary, total, [path for path, _ in parts])
-        except KeyboardInterrupt:
-            console.print(f"{config.out}: stopped; the same command goes on from there")
-            raise
-    shutil.rmtree(folder)
-    if diverged:
-        console.print(f"{config.out}: {diverged} simulations diverged, and were drawn anew")
-    return config.out
 
+    def made(first: int, count: int) -> Made:
+        return rollouts(config.seed, first, count, config.steps), {}
 
-def program_versions() -> dict[str, str]:
-    """Versions of the programs that shape the data."""
-    try:
-        own = version("hvf")
-    except PackageNotFoundError:
-        own = "unknown"
-    return {
-        "hvf": own,
-        "hvf_core": hvf_core.__version__,
-        "numpy": np.__version__,
-        "h5py": h5py.__version__,
-    }
-
-
-def _is_complete(path: Path, wanted: Metadata) -> bool:
-    try:
-        with open_episodes(path) as file:
-            return _difference(file.metadata, wanted) is None and len(file) == wanted.episodes
-    except ValueError:
-        return False
-
-
-def _check_part(path: Path, wanted: Metadata, count: int) -> int:
-    """Refuse a part that does not belong here; how many simulations diverged in this one."""
-    go_on = f"remove {path.parent} or choose another out"
-    with EpisodeFile(path) as file:
-        other = _difference(file.metadata, wanted)
-        if other is None and len(file) < count:
-            other = f"{len(file)} episodes, expected {count}"
-        if other is not None:
-            raise ValueError(f"{path}: is a part of another collection ({other}); {go_on}")
-        found, expected = dict(file.metadata.versions), dict(wanted.versions)
-        if file.version != FORMAT:
-            found, expected = {"format": file.version}, {"format": FORMAT}
-        changed = [
-            f"{name} {found.get(name, 'not there')}, now {expected.get(name, 'not there')}"
-            for name in sorted({*found, *expected})
-            if found.get(name) != expected.get(name)
-        ]
-        if changed:
-            raise ValueError(
-                f"{path}: was made by another version of the program ({'; '.join(changed)}), and "
-                f"its episodes may be others; {go_on}"
-            )
-        return file.metadata.diverged
-
-
-def _difference(found: Metadata, wanted: Metadata) -> str | None:
-    """What makes two collections different, apart from their length; None if nothing does."""
-    for name in ("environment", "parameters", "seed", "steps"):
-        one, other = getattr(found, name), getattr(wanted, name)
-        if one != other:
-            return f"{name} {one!r}, expected {other!r}"
-    return None
+    return write_in_parts(
+        config.out,
+        wanted,
+        made,
+        part=config.part,
+        overwrite=config.overwrite,
+        about=f"collecting {environment}",
+        console=console,
+    )

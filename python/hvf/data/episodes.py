@@ -1,7 +1,8 @@
 """Episodes in memory, and where they come from.
 
 Letters in shapes: ``N`` episodes of up to ``T`` steps, frames of ``H`` x ``W`` pixels, ``A`` action
-dimensions, ``S`` state dimensions. Episode ``i`` has ``lengths[i]`` actions and one more frame;
+dimensions (0 where nobody knows what was done), ``S`` state dimensions. Episode ``i`` has
+``lengths[i]`` actions and one more frame;
 what arrays hold after its end is zero and means nothing.
 """
 
@@ -148,5 +149,6 @@ class Episodes:
             raise TypeError(f"{name} must be an array, got {type(array).__name__}")
         if array.dtype != dtype:
             raise TypeError(f"{name} must be {np.dtype(dtype)}, got {array.dtype}")
-        if array.ndim != ndim or 0 in array.shape:
+        # Of what was done, nothing may be known.
+        if array.ndim != ndim or 0 in array.shape[: 2 if name == "actions" else ndim]:
             raise ValueError(f"{name} must have {ndim} non-empty axes, got {array.shape}")

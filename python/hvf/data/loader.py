@@ -187,6 +187,11 @@ class WindowSampler:
     def __init__(self, pool: EpisodePool, batch_size: int, length: int, seed: int = 0) -> None:
         if batch_size < 1:
             raise ValueError(f"batch_size must be at least 1, got {batch_size}")
+        if not pool.actions.shape[2]:
+            raise ValueError(
+                "data: has no actions, nobody knows what was done; only generators of subgoals "
+                "can learn from it"
+            )
         if not 1 <= length <= pool.longest:
             raise ValueError(f"length must be from 1 to {pool.longest}, got {length}")
         self._pool = pool

@@ -5,7 +5,8 @@ chosen on. *test* is what published figures are made of, once; nothing is chosen
 
 Within a file of recorded episodes, validation is its last twentieth and train the rest. Test is a
 file of its own: a second collection, with another seed (:data:`DATA_SEEDS`), or the part of a
-public data set that its makers held out.
+public data set that its makers held out; files of recorded data say which they are, as ``split``
+among the parameters of their metadata (``hvf data import``).
 """
 
 from __future__ import annotations
@@ -47,12 +48,16 @@ def episodes_of(split: Split, metadata: Metadata) -> range:
     """The numbers of the episodes of a file that belong to a split.
 
     Raises:
-        ValueError: an unknown split; a file too short to hold an episode out; or ``"test"`` of a
-            collection with the seed of training data.
+        ValueError: an unknown split; a file too short to hold an episode out; ``"test"`` of a
+            collection with the seed of training data, or of recorded data that is for training;
+            or another split of recorded data that is for tests.
     """
     if split not in SPLITS:
         raise ValueError(f"split: must be one of {', '.join(SPLITS)}; got {split!r}")
     total = metadata.episodes
+    made_for = metadata.parameters.get("split")
+    if made_for in SPLITS and (made_for == "test") != (split == "test"):
+        raise ValueError(f"split: {split!r} is asked for, but these episodes are for {made_for}")
     if split == "test":
         if metadata.seed == DATA_SEEDS["train"]:
             raise ValueError(

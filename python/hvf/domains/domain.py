@@ -77,7 +77,7 @@ class Domain:
         name: its name.
         about: what it is, in a line.
         open_with: makes the open place, from a number of processes (0 for as many as cores).
-        action_low: lowest action, ``A`` numbers.
+        action_low: lowest action, ``A`` numbers; none where nothing is acted, and the dynamics say.
         action_high: highest action.
         tasks: name to steps of an episode (T), the default task last; none for recorded video.
         task_word: what the paper calls them: "difficulty", "task".
@@ -115,7 +115,8 @@ class Domain:
     def __post_init__(self) -> None:
         if "default" not in self.presets:
             raise ValueError(f"presets: {self.name} must have one that is called 'default'")
-        if len(self.action_low) != len(self.action_high) or not self.action_low:
+        boxed = len(self.action_low) > 0 or not self.tasks
+        if len(self.action_low) != len(self.action_high) or not boxed:
             raise ValueError("action_low: must have as many dimensions as action_high, at least 1")
 
     @property

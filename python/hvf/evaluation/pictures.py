@@ -76,6 +76,7 @@ def save_subgoals(
     costs: Sequence[float],
     path: Path,
     title: str = "",
+    below: Sequence[tuple[str, NDArray[np.uint8]]] = (),
 ) -> None:
     """Write a PNG: start, subgoals and goal, with the planning cost of each segment between them.
 
@@ -86,15 +87,23 @@ def save_subgoals(
         costs: of the ``K + 1`` segments.
         path: file to write.
         title: above the pictures.
+        below: what stands below each subgoal, with its label; nothing for no second row.
 
     Raises:
         OSError: the file cannot be written.
     """
     panels = [start, *subgoals, goal]
-    figure = Figure(figsize=(2.3 * len(panels), 3.1), dpi=120, layout="constrained")
+    rows = 2 if below else 1
+    size = (2.3 * len(panels), 3.1 if rows == 1 else 5.6)
+    figure = Figure(figsize=size, dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(1, len(panels))
-    for k, (ax, image) in enumerate(zip(axes, panels, strict=True)):
+    axes = figure.subplots(rows, len(panels), squeeze=False)
+    for ax in axes[1:].flat:
+        ax.axis("off")
+    for ax, (label, image) in zip(axes[-1, 1:-1], below, strict=False):
+        ax.axis("on")
+        _show(ax, image, label)
+    for k, (ax, image) in enumerate(zip(axes[0], panels, strict=True)):
         label = "start" if k == 0 else "goal" if k == len(panels) - 1 else f"subgoal {k}"
         _show(ax, image, label)
         if k:

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from hvf.agents.frames import remembered
 from hvf.data.formats import EpisodeReader
 from hvf.models.image_quality import Measure, perceptual_distance, psnr, ssim
 from hvf.models.probe import PositionProbe
@@ -184,7 +185,7 @@ def image_figures(
             part = slice(i, i + _AT_ONCE)
             truth = windows.future[part][:, chosen]
             found[name].append(measure(drawn[part][:, chosen], truth))
-            still = np.broadcast_to(windows.start[part, None], truth.shape)
+            still = windows.start[part, None].repeat(truth.shape[1], axis=1)
             found[f"{name}_still"].append(measure(still, truth))
         for key, values in found.items():
             means = dict(zip(steps, np.concatenate(values).mean(axis=0).round(4), strict=True))
@@ -317,12 +318,7 @@ def _keys(file: EpisodeReader, number: int) -> list[tuple[str, bytes]]:
 
 def _starts(world: Any, history: Images, past_actions: NDArray[np.float32]) -> Any:
     if isinstance(world, Remembering):
-        missing = max(0, world.context - history.shape[1])
-        images = np.concatenate([history[:, :1].repeat(missing, axis=1), history], axis=1)
-        before = np.zeros((len(history), missing, past_actions.shape[2]), np.float32)
-        done = np.concatenate([before, past_actions], axis=1)
-        first = images.shape[1] - world.context
-        return world.observe_history(images[:, first:], done[:, first:])
+        return remembered(world, history, past_actions)
     images = np.ascontiguousarray(history[:, -1])
     return world.observe(images) if isinstance(world, Observer) else images
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hvf.protocols import SubgoalModel, WorldModel
 from hvf.registry import COSTS, MODELS
 from hvf.settings import Planning, World
@@ -141,6 +143,28 @@ def load_asked(domain: Domain, world: World, name: str) -> tuple[Weights, Any]:
     path = checkpoint(domain, "method_model", world.method_model or name)
     weights, model = _read("method_model", path, (MODELS[name].role,))
     return weights, _plannable(weights)(model)
+
+
+def load_generator(domain: Domain, name: str) -> Loaded:
+    """Load a generator alone, with no world around it: its frames are images.
+
+    Raises:
+        FileNotFoundError: a checkpoint that is not there; says how to make it.
+        ValueError: a checkpoint of another model, or of one that draws with its dynamics.
+    """
+    weights, model = _read("generator", checkpoint(domain, "generator", name), _ROLES["generator"])
+    if weights.kind != "video":
+        raise ValueError(f"generator: {weights.model} draws with its dynamics; name these too")
+    return Loaded(_Nowhere(), _plannable(weights)(model, None), {"generator": weights})
+
+
+class _Nowhere:
+    """A world of images in which nothing is known of actions."""
+
+    action_low = action_high = np.empty(0, np.float32)
+
+    def rollout_costs(self, starts: Any, goals: Any, actions: Any) -> Any:
+        raise ValueError("dynamics: none are loaded, nothing can be planned")
 
 
 def checkpoint(domain: Domain, part: str, name: str) -> Path:

@@ -3,9 +3,11 @@
 Letters in shapes are those of :mod:`hvf.data.episodes`.
 
 ====================  ========================  ==================================================
-``frames``            uint8 ``[N,T+1,H,W,3]``   of the first camera; gzip, one chunk per episode
+``frames``            uint8 ``[N,T+1,H,W,3]``   of the first camera; one chunk per episode, gzip
+                                                or as it is
 ``frames of <name>``  uint8 ``[N,T+1,H,W,3]``   of each further camera; other H and W are possible
-``actions``           float32 ``[N,T,A]``       action ``t`` leads from frame ``t`` to ``t + 1``
+``actions``           float32 ``[N,T,A]``       action ``t`` leads from frame ``t`` to ``t + 1``;
+                                                ``A`` is 0 where nobody knows what was done
 ``states``            float64 ``[N,T+1,S]``     true states, for probes and evaluation, never for
                                                 training; not there where nobody knows them
 ``lengths``           int64 ``[N]``             steps of each episode, 1 to T; the rest is zeros
@@ -19,6 +21,7 @@ always has states; it can be read.
 
 Episodes repeat most of their pixels, which gzip's 32 KB window sees across frames of 12 KB: 100
 steps of the maze take about 30 KB, and decode at 100,000 frames/s. Padding takes next to nothing.
+Frames of real cameras are written as they are, unless somebody asks: their noise does not repeat.
 """
 
 from __future__ import annotations
@@ -58,6 +61,8 @@ def write_episodes(
     episodes: Episodes,
     threads: int = 2,
     views: Views | None = None,
+    *,
+    compress: bool = True,
 ) -> None:
     """Write a new file at ``path``, in place: wrap with :func:`hvf.files.replacing`.
 
@@ -67,6 +72,8 @@ def write_episodes(
         episodes: the episodes, as the first of ``metadata.cameras`` saw them.
         threads: how many compress frames.
         views: frames of the further cameras by their names, in the order of ``metadata.cameras``.
+        compress: whether frames are compressed; gzip finds nothing in a camera's noise, and takes
+            many times longer to read than the file.
 
     Raises:
         ValueError: ``metadata``, ``episodes`` and ``views`` disagree.
@@ -91,15 +98,15 @@ def write_episodes(
 
     lengths = episodes.lengths
 
-    def compress(frames: NDArray[np.uint8], length: int) -> bytes:
-        whole = _ended(frames[None], np.array([length + 1]))
-        return zlib.compress(np.ascontiguousarray(whole).data, _GZIP_LEVEL)
+    def packed(frames: NDArray[np.uint8], length: int) -> bytes | NDArray[np.uint8]:
+        whole = np.ascontiguousarray(_ended(frames[None], np.array([length + 1])))
+        return zlib.compress(whole.data, _GZIP_LEVEL) if compress else whole
 
     with _create(path, metadata) as file, ThreadPoolExecutor(max(1, threads)) as pool:
         seen = {"frames": episodes.frames, **{_seen_by(name): views[name] for name in views}}
         for name, frames in seen.items():
-            written = _dataset(file, name, frames.shape, np.uint8)
-            for i, chunk in enumerate(pool.map(compress, frames, lengths)):
+            written = _dataset(file, name, frames.shape, np.uint8, compress)
+            for i, chunk in enumerate(pool.map(packed, frames, lengths)):
                 written.id.write_direct_chunk((i, 0, 0, 0, 0), chunk)
         actions = _dataset(file, "actions", episodes.actions.shape, np.float32)
         actions[...] = _ended(episodes.actions, lengths)
@@ -122,20 +129,21 @@ def join_files(path: Path, metadata: Metadata, parts: Sequence[Path]) -> None:
     """
     with _create(path, metadata) as file:
         with EpisodeFile(parts[0]) as source:
-            shapes = {name: (old.shape[1:], old.dtype) for name, old in source.arrays().items()}
+            shapes = _kinds(source)
         lengths = np.zeros(metadata.episodes, np.int64)
-        for name, (shape, dtype) in shapes.items():
-            new = _dataset(file, name, (metadata.episodes, *shape), dtype)
+        for name, (shape, dtype, compression) in shapes.items():
+            whole = (metadata.episodes, *shape)
+            new = _dataset(file, name, whole, dtype, compression is not None)
             rest = (0,) * len(shape)
             first = 0
             for part in parts:
                 with EpisodeFile(part) as source:
-                    arrays = source.arrays()
-                    if {n: (a.shape[1:], a.dtype) for n, a in arrays.items()} != shapes:
+                    if _kinds(source) != shapes:
                         raise ValueError(f"{part}: holds other arrays than {parts[0]}")
+                    array = source.arrays()[name]
                     count = min(len(source), metadata.episodes - first)
-                    for i in range(count):
-                        mask, chunk = arrays[name].id.read_direct_chunk((i, *rest))
+                    for i in range(count if array.size else 0):
+                        mask, chunk = array.id.read_direct_chunk((i, *rest))
                         new.id.write_direct_chunk((first + i, *rest), chunk, mask)
                     lengths[first : first + count] = source.lengths[:count]
                     first += len(source)
@@ -256,7 +264,8 @@ class EpisodeFile:
         """
         try:
             self.dataset("frames").read_direct(frames, np.s_[index])
-            self.dataset("actions").read_direct(actions, np.s_[index])
+            if actions.size:
+                self.dataset("actions").read_direct(actions, np.s_[index])
         except (OSError, RuntimeError) as error:
             raise ValueError(f"{self.path}: episode {index} is damaged ({error})") from error
 
@@ -322,7 +331,8 @@ HVF = Format("hvf", (".h5", ".hdf5"), _sniff, lambda path, camera: EpisodeFile(p
 def _check_array(name: str, shape: tuple[int, ...], dtype: Any, n: int, t: int) -> None:
     rank, kind = {"actions": (3, "float32"), "states": (3, "float64")}.get(name, (5, "uint8"))
     wanted = (n, t if name == "actions" else t + 1)
-    if shape[:2] != wanted or len(shape) != rank or dtype != kind or 0 in shape:
+    empty = 0 in (shape[:2] if name == "actions" else shape)
+    if shape[:2] != wanted or len(shape) != rank or dtype != kind or empty:
         raise ValueError(f"{n} episodes of {t} steps do not fit {name}: {dtype} {shape}")
     if rank == 5 and shape[4] != 3:
         raise ValueError(f"{name} have {shape[4]} channels, expected 3")
@@ -366,17 +376,27 @@ def _create(path: Path, metadata: Metadata) -> Iterator[Any]:
         raise OSError(errno.EIO, str(error), str(path)) from error
 
 
-def _dataset(file: Any, name: str, shape: tuple[int, ...], dtype: Any) -> Any:
+def _dataset(
+    file: Any, name: str, shape: tuple[int, ...], dtype: Any, compress: bool = False
+) -> Any:
     """A new dataset with one chunk per episode."""
-    compression = {"compression": "gzip", "compression_opts": _GZIP_LEVEL}
     return file.create_dataset(
         name,
         shape,
         dtype,
-        chunks=(1, *shape[1:]),
+        # There are no chunks of nothing.
+        chunks=None if 0 in shape else (1, *shape[1:]),
         track_times=False,
-        **(compression if name.startswith("frames") else {}),
+        **({"compression": "gzip", "compression_opts": _GZIP_LEVEL} if compress else {}),
     )
+
+
+def _kinds(file: EpisodeFile) -> dict[str, tuple[Any, Any, Any]]:
+    """Shape of an episode, type and compression of all arrays of a file."""
+    return {
+        name: (array.shape[1:], array.dtype, array.compression)
+        for name, array in file.arrays().items()
+    }
 
 
 def _seen_by(camera: str) -> str:
