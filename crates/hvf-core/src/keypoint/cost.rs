@@ -290,9 +290,9 @@ fn footprint(cost: &SpriteCost, keypoints: &[Lanes; 2], out: &mut Footprint, und
             first[lane] = (centre[lane] - reach).ceil().clamp(0.0, size);
             end[lane] = ((centre[lane] + reach).floor() + 1.0).clamp(0.0, size);
         }
-        for lane in 0..LANES {
+        for (out, first) in out.first[axis].iter_mut().zip(first) {
             // A centre that is not a number covers nothing.
-            out.first[axis][lane] = first[lane] as usize;
+            *out = first as usize;
         }
         for (place, coverage) in coverage.iter_mut().enumerate() {
             for lane in 0..LANES {
@@ -311,9 +311,8 @@ fn footprint(cost: &SpriteCost, keypoints: &[Lanes; 2], out: &mut Footprint, und
             }
             Some(gram) => {
                 let mut blocks: [&[f32]; LANES] = [&[]; LANES];
-                for lane in 0..LANES {
-                    let at = out.first[axis][lane] * width * width;
-                    blocks[lane] = &gram.blocks[at..at + width * width];
+                for (block, first) in blocks.iter_mut().zip(out.first[axis]) {
+                    *block = &gram.blocks[first * width * width..][..width * width];
                 }
                 gather(&blocks, under);
                 for (under, a) in under.chunks_exact(width).zip(coverage.iter()) {
@@ -328,10 +327,11 @@ fn footprint(cost: &SpriteCost, keypoints: &[Lanes; 2], out: &mut Footprint, und
             }
         }
     }
-    for lane in 0..LANES {
+    let norms = norms[0].iter().zip(&norms[1]);
+    let places = keypoints[0].iter().zip(&keypoints[1]);
+    for ((own, (row, column)), (y, x)) in out.own.iter_mut().zip(norms).zip(places) {
         // A sprite that is nowhere must not cost what a frame without it does: NaN ranks last.
-        let nowhere = 0.0 * (keypoints[0][lane] + keypoints[1][lane]);
-        out.own[lane] = cost.colour * norms[0][lane] * norms[1][lane] + nowhere;
+        *own = cost.colour * row * column + 0.0 * (y + x);
     }
 }
 

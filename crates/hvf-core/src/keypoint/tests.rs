@@ -250,9 +250,7 @@ proptest! {
         let from = [point(), point()];
         let terms = fast.goal_terms(&start, from, &goal);
         let mut at = [[0.0; LANES]; 2];
-        for lane in 0..LANES {
-            (at[0][lane], at[1][lane]) = (point(), point());
-        }
+        at.as_flattened_mut().iter_mut().for_each(|place| *place = point());
         // On whole pixels and halves, too.
         (at[0][0], at[1][0]) = (size as f32 / 2.0, 0.0);
         fast.footprint(&at, &mut footprint, &mut under);
