@@ -3,8 +3,46 @@ from typing import Any, Literal, SupportsIndex, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import Never, Self
+
+__all__ = [
+    "HVF",
+    "MAZE_ACTION_LIMIT",
+    "MAZE_AGENT_HALF",
+    "MAZE_ARENA",
+    "MAZE_GAP_HALF",
+    "MAZE_GAP_LIMIT",
+    "MAZE_GAP_RANGE",
+    "MAZE_IMAGE_SIZE",
+    "MAZE_REACH",
+    "MAZE_SUCCESS_DISTANCE",
+    "MAZE_VIEW",
+    "MAZE_WALL_X",
+    "KeypointFrames",
+    "KeypointWorld",
+    "LayerFrames",
+    "LayerWorld",
+    "MazeFrames",
+    "MazeSubgoals",
+    "MazeWorld",
+    "Plan",
+    "Plans",
+    "SearchResult",
+    "VisualMPC",
+    "__version__",
+    "image_cost",
+    "maze_collect",
+    "maze_episodes",
+    "maze_locate",
+    "maze_render",
+    "maze_step",
+    "maze_subgoals",
+    "maze_success",
+]
 
 __version__: str
+
+_Index: TypeAlias = SupportsIndex | Sequence[SupportsIndex] | NDArray[np.integer]
 
 # --- maze ---------------------------------------------------------------------------------
 
@@ -21,14 +59,23 @@ MAZE_VIEW: float
 MAZE_WALL_X: tuple[float, float]
 
 def maze_step(states: ArrayLike, actions: ArrayLike) -> NDArray[np.float64]: ...
-def maze_render(states: ArrayLike, size: int = 64) -> NDArray[np.uint8]: ...
+def maze_render(states: ArrayLike, size: SupportsIndex | None = 64) -> NDArray[np.uint8]: ...
 def maze_locate(images: NDArray[np.uint8]) -> NDArray[np.float64]: ...
 def maze_episodes(
-    seed: int, first: int, count: int, difficulty: str
+    seed: SupportsIndex,
+    first: SupportsIndex,
+    count: SupportsIndex,
+    difficulty: Literal["easy", "medium", "hard"],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
-def maze_subgoals(starts: ArrayLike, targets: ArrayLike, subgoals: int) -> NDArray[np.float64]: ...
+def maze_subgoals(
+    starts: ArrayLike, targets: ArrayLike, subgoals: SupportsIndex
+) -> NDArray[np.float64]: ...
 def maze_collect(
-    seed: int, first: int, count: int, steps: int, size: int = 64
+    seed: SupportsIndex,
+    first: SupportsIndex,
+    count: SupportsIndex,
+    steps: SupportsIndex,
+    size: SupportsIndex | None = 64,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float64]]: ...
 def maze_success(states: ArrayLike, targets: ArrayLike) -> NDArray[np.bool_]: ...
 
@@ -100,7 +147,7 @@ class VisualMPC:
         warm_start_std: float = 1.0,
         clip: bool = True,
         best: Literal["all", "last"] = "all",
-    ) -> VisualMPC: ...
+    ) -> Self: ...
     def __hash__(self) -> int: ...
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
     @property
@@ -116,7 +163,7 @@ class VisualMPC:
     @property
     def action_repeat(self) -> int: ...
     @property
-    def initial(self) -> str: ...
+    def initial(self) -> Literal["uniform", "normal"]: ...
     @property
     def initial_low(self) -> list[float] | None: ...
     @property
@@ -189,6 +236,7 @@ class VisualMPC:
 class Plan:
     """The best actions found for one problem."""
 
+    def __new__(cls, never: Never, /) -> Self: ...  # planners make these
     @property
     def actions(self) -> NDArray[np.float32]:
         """Actions, float32 ``[H, A]``."""
@@ -213,6 +261,7 @@ class Plan:
 class Plans:
     """The best actions found for every problem of a batch; ``plans[b]`` is a :class:`Plan`."""
 
+    def __new__(cls, never: Never, /) -> Self: ...  # planners make these
     @property
     def actions(self) -> NDArray[np.float32]:
         """Actions, float32 ``[B, H, A]``."""
@@ -230,7 +279,7 @@ class Plans:
         """As :attr:`Plan.history`, float32 ``[B, I]`` each; NaN after a problem was done."""
 
     def __len__(self) -> int: ...
-    def __getitem__(self, index: int, /) -> Plan: ...
+    def __getitem__(self, index: SupportsIndex, /) -> Plan: ...
     def __iter__(self) -> Iterator[Plan]: ...
 
 @final
@@ -280,11 +329,11 @@ class HVF:
         prune: bool = True,
         share_rollouts: bool = True,
         best: Literal["all", "last"] = "all",
-    ) -> HVF: ...
+    ) -> Self: ...
     def __hash__(self) -> int: ...
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
     @property
-    def mpc(self) -> VisualMPC: ...
+    def mpc(self) -> Self: ...
     @property
     def subgoals(self) -> int: ...
     @property
@@ -296,7 +345,7 @@ class HVF:
     @property
     def min_variance(self) -> float: ...
     @property
-    def reduction(self) -> str: ...
+    def reduction(self) -> Literal["max", "mean"]: ...
     @property
     def keep_elites(self) -> int: ...
     @property
@@ -349,6 +398,7 @@ class HVF:
 class SearchResult:
     """What the subgoal search found."""
 
+    def __new__(cls, never: Never, /) -> Self: ...  # planners make these
     @property
     def subgoals(self) -> Any:
         """Subgoals in the order to reach them: frames of the model, ``[K]``."""
@@ -383,10 +433,11 @@ class SearchResult:
 
 # --- the maze as a world model --------------------------------------------------------------
 
+@final
 class MazeFrames:
-    def __init__(self, states: ArrayLike, image_size: int = 64) -> None: ...
+    def __new__(cls, states: ArrayLike, image_size: SupportsIndex = 64) -> Self: ...
     def __len__(self) -> int: ...
-    def __getitem__(self, index: int | NDArray[np.int64]) -> MazeFrames: ...
+    def __getitem__(self, index: _Index, /) -> MazeFrames: ...
     @property
     def states(self) -> NDArray[np.float64]: ...
     @property
@@ -394,18 +445,19 @@ class MazeFrames:
     @property
     def image_size(self) -> int: ...
 
+@final
 class MazeWorld:
     """The maze's true simulator as a world model.
 
     Actions beyond the box ``[-3, 3]`` count as the nearest within, as in the environment.
     """
 
-    def __init__(
-        self,
-        image_size: int = 64,
+    def __new__(
+        cls,
+        image_size: SupportsIndex = 64,
         blur: float = 0.0,
         over_horizon: Literal["last", "sum", "min"] = "last",
-    ) -> None: ...
+    ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]: ...
     @property
@@ -415,7 +467,7 @@ class MazeWorld:
     @property
     def blur(self) -> float: ...
     @property
-    def over_horizon(self) -> str: ...
+    def over_horizon(self) -> Literal["last", "sum", "min"]: ...
     def observe(self, images: NDArray[np.uint8]) -> MazeFrames: ...
     def rollout_costs(
         self,
@@ -433,14 +485,16 @@ class MazeWorld:
         self, start: MazeFrames | NDArray[np.uint8], actions: ArrayLike
     ) -> NDArray[np.float64]: ...
 
+@final
 class MazeSubgoals:
-    def __init__(self, latent_dim: int = 8) -> None: ...
+    def __new__(cls, latent_dim: SupportsIndex = 8) -> Self: ...
     @property
     def latent_dim(self) -> int: ...
     def decode(self, scene: object, latents: ArrayLike) -> MazeFrames: ...
 
 # --- the compact learned dynamics model -----------------------------------------------------
 
+@final
 class KeypointFrames:
     """Frames of a `KeypointWorld`: images, where the moving part is, and a map of the rest.
 
@@ -448,8 +502,9 @@ class KeypointFrames:
     needed; frames picked with `[]` and frames from `moved` share it.
     """
 
+    def __new__(cls, never: Never, /) -> Self: ...  # worlds make these
     def __len__(self) -> int: ...
-    def __getitem__(self, index: NDArray[np.int64]) -> KeypointFrames: ...
+    def __getitem__(self, index: _Index, /) -> KeypointFrames: ...
     @property
     def images(self) -> NDArray[np.uint8]:
         """The images, uint8 `[N, S, S, 3]` (a copy)."""
@@ -471,6 +526,7 @@ class KeypointFrames:
                 that are not finite.
         """
 
+@final
 class KeypointWorld:
     """The compact learned dynamics model, evaluated in Rust; a world model.
 
@@ -502,11 +558,12 @@ class KeypointWorld:
         over_horizon: `"last"`, `"sum"` or `"min"` over the predicted frames.
 
     Raises:
-        ValueError: shapes that do not fit each other, or numbers out of range.
+        ValueError: shapes that do not fit each other, or numbers out of range, of any size.
+        TypeError: arrays of another dtype, or objects of another kind.
     """
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         *,
         patch: NDArray[np.float32],
         patch_bias: NDArray[np.float32],
@@ -517,17 +574,17 @@ class KeypointWorld:
         output_bias: NDArray[np.float32],
         free: NDArray[np.float32],
         action_scale: float,
-        spacing: int,
-        substeps: int,
+        spacing: SupportsIndex,
+        substeps: SupportsIndex,
         half_size: Sequence[float],
         edge: Sequence[float],
         colour: Sequence[float],
         action_low: Sequence[float],
         action_high: Sequence[float],
-        image_size: int,
+        image_size: SupportsIndex,
         blur: float = 0.0,
         over_horizon: Literal["last", "sum", "min"] = "last",
-    ) -> None: ...
+    ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]:
         """Lowest action, float32 `[A]`."""
@@ -562,14 +619,16 @@ class KeypointWorld:
 
 _Layer: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
 
+@final
 class LayerFrames:
     """Frames of a `LayerWorld`: images, the same without the arm, where parts are, and states.
 
     Made by `LayerWorld.frames`. Frames picked with `[]` share memory.
     """
 
+    def __new__(cls, never: Never, /) -> Self: ...  # worlds make these
     def __len__(self) -> int: ...
-    def __getitem__(self, index: NDArray[np.int64]) -> LayerFrames: ...
+    def __getitem__(self, index: _Index, /) -> LayerFrames: ...
     @property
     def images(self) -> NDArray[np.uint8]:
         """The images, uint8 `[N, S, S, 3]` (a copy)."""
@@ -577,6 +636,7 @@ class LayerFrames:
     def states(self) -> NDArray[np.float32]:
         """The states, float32 `[N, X]` (a copy)."""
 
+@final
 class LayerWorld:
     """The desk's learned dynamics model, evaluated in Rust; a world model with actions in [-1, 1].
 
@@ -613,11 +673,12 @@ class LayerWorld:
         over_horizon: `"last"`, `"sum"` or `"min"` over the predicted frames.
 
     Raises:
-        ValueError: shapes that do not fit each other, or numbers out of range.
+        ValueError: shapes that do not fit each other, or numbers out of range, of any size.
+        TypeError: arrays of another dtype, or objects of another kind.
     """
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         *,
         hand: Sequence[_Layer],
         sliders: Sequence[Sequence[_Layer]],
@@ -632,8 +693,8 @@ class LayerWorld:
         table: NDArray[np.uint8],
         sprites: NDArray[np.float32],
         blur: float = 0.0,
-        over_horizon: str = "last",
-    ) -> None: ...
+        over_horizon: Literal["last", "sum", "min"] = "last",
+    ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]:
         """Lowest action, float32 `[A]`."""
