@@ -192,7 +192,8 @@ class VisualMPC:
 
         Args:
             model: A world of this module, an object whose ``native`` is one, or any object with
-                the methods of ``hvf.protocols.WorldModel``.
+                the methods of ``hvf.protocols.WorldModel``. Costs of its own that ``native``
+                would hide are refused; see there.
             start: One uint8 image ``[height, width, 3]`` (which goes through the model's
                 ``observe``, if it has one) or one frame of the model, ``[1]``.
             goal: The same for the goal.
@@ -206,7 +207,10 @@ class VisualMPC:
             ValueError: An argument does not fit, or the model answered with the wrong shape or
                 with NaN only; the message names the argument or the model's method.
             TypeError: An argument is of the wrong kind, or the model lacks a method.
-            KeyboardInterrupt: Ctrl-C, within a second. What a model raises comes back as it is.
+            KeyboardInterrupt: Ctrl-C: within a second of native work, else between two calls of
+                the model. What a model raises comes back as it is.
+            RuntimeError: This process was forked after the module had worked in its parent, whose
+                threads it lacks; start processes by 'spawn' or 'forkserver'.
         """
 
     def plan_batch(
@@ -221,8 +225,8 @@ class VisualMPC:
 
         Args:
             model: As for :meth:`plan`.
-            starts: Uint8 images ``[B, height, width, 3]`` or frames of the model, ``[B]``; or one,
-                ``[1, ...]``, for all goals. Three axes are never one image here.
+            starts: Uint8 images ``[B, height, width, 3]`` or frames of the model, ``[B]``, at most
+                2**20; or one, ``[1, ...]``, for all goals. Three axes are never one image here.
             goals: Images or frames, ``[B]``.
             seeds: One seed for all, one for each ``[B]``, or ``None`` for 0. Problems with one
                 start and one seed share their first iteration's rollouts where the model can.
@@ -449,7 +453,8 @@ class MazeFrames:
 class MazeWorld:
     """The maze's true simulator as a world model.
 
-    Actions beyond the box ``[-3, 3]`` count as the nearest within, as in the environment.
+    Actions beyond the box ``[-3, 3]`` count as the nearest within, as in the environment; a
+    candidate whose actions are not finite costs NaN.
     """
 
     def __new__(

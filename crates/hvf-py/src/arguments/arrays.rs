@@ -63,15 +63,19 @@ pub fn booleans<D: Dimension>(
     object: &Bound<'_, PyAny>,
     expected: &str,
 ) -> PyResult<Array<bool, D>> {
-    if axes_of::<bool>(object).is_none() {
-        return Err(wrong_type(argument, expected, object));
+    match axes_of::<bool>(object) {
+        None => return Err(wrong_type(argument, expected, object)),
+        Some(axes) if D::NDIM != Some(axes) => {
+            return Err(PyValueError::new_err(unfit(argument, expected, object)))
+        }
+        Some(_) => {}
     }
+    let found = object.cast::<PyUntypedArray>()?;
+    fits::<bool>(argument, found.len(), object)?;
     let py = object.py();
     let ndarray = py.import(intern!(py, "numpy"))?.getattr(intern!(py, "ndarray"))?;
     let view = ndarray.call_method1(intern!(py, "view"), (object, intern!(py, "uint8")))?;
-    let bytes = array::<u8, D>(argument, &view, expected)
-        .map_err(|_| PyValueError::new_err(unfit(argument, expected, object)))?;
-    fits::<bool>(argument, bytes.len(), object)?;
+    let bytes = array::<u8, D>(argument, &view, expected)?;
     Ok(bytes.as_array().mapv(|byte| byte != 0))
 }
 
