@@ -34,14 +34,14 @@ def area_resized(frames: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np
 
     Larger ones are possible too: their pixels lie in one old pixel, or over the border of two.
     """
+    if frames.shape[1:3] == size:
+        return frames
     axes = [(axis, *_shares(frames.shape[axis], new)) for axis, new in enumerate(size, 1)]
     total = axes[0][3] * axes[1][3]
     summed: NDArray[Any] = frames
-    for axis, which, shares, units in axes:
-        if units > 1:
+    for axis, which, shares, _ in axes:
+        if frames.shape[axis] != size[axis - 1]:
             summed = _summed(summed, axis, which, shares.astype(_kind(2 * 256 * total)))
-    if summed is frames:
-        return frames
     rounded: NDArray[np.uint8] = ((2 * summed + total) // (2 * total)).astype(np.uint8)
     return rounded
 
