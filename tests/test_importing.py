@@ -23,7 +23,7 @@ import recordings
 from hvf.cli import main
 from hvf.data.formats import open_episodes
 from hvf.data.importing.bair import BairImport, BairSource
-from hvf.data.importing.example import decode_example
+from hvf.data.importing.example import Example
 from hvf.data.importing.folder import FolderImport
 from hvf.data.importing.npz import NpzImport
 from hvf.data.importing.resize import area_resized, size_of
@@ -108,7 +108,7 @@ values = (
 @given(features=st.dictionaries(st.text(max_size=12), values, max_size=4))
 @settings(max_examples=60)
 def test_examples_are_read_as_the_library_of_protocol_buffers_wrote_them(features: Any) -> None:
-    found = decode_example(recordings.example(features))
+    found = Example(recordings.example(features))
     assert set(found) == set(features)
     for name, expected in features.items():
         values = found[name]
@@ -124,7 +124,7 @@ def test_numbers_need_not_be_packed() -> None:
     numbers = b"\x0d" + np.float32(1.5).tobytes() + b"\x0d" + np.float32(-2).tobytes()
     entry = b"\x0a\x01a\x12" + bytes([len(numbers) + 2]) + b"\x12" + bytes([len(numbers)]) + numbers
     features = b"\x0a" + bytes([len(entry)]) + entry
-    found = decode_example(b"\x0a" + bytes([len(features)]) + features)
+    found = Example(b"\x0a" + bytes([len(features)]) + features)
     np.testing.assert_array_equal(found["a"], np.float32([1.5, -2]))
 
 
@@ -146,7 +146,7 @@ def test_a_damaged_example_is_refused_or_read_but_nothing_else_happens(
     for data in (bytes(content[:end]), noise, bytes(content) + noise):
         # Any other exception fails.
         with contextlib.suppress(ValueError):
-            decode_example(data)
+            dict(Example(data))
 
 
 # ---- the area filter ---------------------------------------------------------------------------
@@ -395,7 +395,7 @@ def test_what_is_no_episode_is_refused_by_name(tmp_path: Path) -> None:
         ({"image": [1.0]}, "record 0: feature 'image' holds floats, expected bytes"),
         ({"action": [1.0, 2.0]}, "record 0: feature 'action' has 2 numbers for 3 steps"),
         ({"action": [1, 2, 3]}, "record 0: feature 'action' holds integers, expected floats"),
-        ({"action": [float("nan")] * 3}, "record 0: feature 'action' has numbers that are not fin"),
+        ({"action": [float("nan")] * 3}, "record 0: actions are not finite"),
     ):
         with pytest.raises(ValueError, match=rf"a\.tfrecord: {said}"):
             run(**more)

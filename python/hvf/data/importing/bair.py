@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hvf.data.importing.example import Feature, byte_strings, decode_example, floats
+from hvf.data.importing.example import Example, Feature, byte_strings, floats
 from hvf.data.importing.importer import Held, Import, Recording, Source, checked
 from hvf.data.importing.tfrecord import Record, find_record_files, records_of
 
@@ -93,7 +93,7 @@ class BairSource(Source):
         record = self._records[number]
         data = record.read()
         try:
-            features = decode_example(data)
+            features = Example(data)
             views = {camera: _frames(features, camera) for camera in self.cameras}
             actions = _numbers(features, "action", _ACTIONS)
             states = _numbers(features, "endeffector_pos", _STATES)

@@ -9,13 +9,12 @@ up, so that frames are the same on every machine. The shape of the picture is no
 from __future__ import annotations
 
 import functools
+import math
 import re
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-# Whole numbers below this are exact in float32.
-_EXACT = 1 << 24
 
 
 def size_of(text: str) -> tuple[int, int]:
@@ -35,30 +34,54 @@ def area_resized(frames: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np
 
     Larger ones are possible too: their pixels lie in one old pixel, or over the border of two.
     """
-    old = frames.shape[1:3]
-    if tuple(old) == size:
+    if frames.shape[1:3] == size:
         return frames
-    count, channels = len(frames), frames.shape[3]
-    rows, columns = _shares(old[0], size[0]), _shares(old[1], size[1])
-    total = old[0] * old[1]
-    kind = np.float32 if 255 * total < _EXACT else np.float64
-    # [h, H] x [N, H, W * 3], then the same for columns.
-    tall = rows.astype(kind) @ frames.reshape(count, old[0], -1).astype(kind)
-    wide = tall.reshape(count, size[0], old[1], channels)
-    summed = np.einsum("nhwc,vw->nhvc", wide, columns.astype(kind), optimize=True)
-    whole = summed.astype(np.int64)
-    rounded: NDArray[np.uint8] = ((2 * whole + total) // (2 * total)).astype(np.uint8)
+    axes = [(axis, *_shares(frames.shape[axis], new)) for axis, new in enumerate(size, 1)]
+    total = axes[0][3] * axes[1][3]
+    summed: NDArray[Any] = frames
+    for axis, which, shares, _ in axes:
+        if frames.shape[axis] != size[axis - 1]:
+            summed = _summed(summed, axis, which, shares.astype(_kind(2 * 256 * total)))
+    rounded: NDArray[np.uint8] = ((2 * summed + total) // (2 * total)).astype(np.uint8)
     return rounded
 
 
-@functools.cache
-def _shares(old: int, new: int) -> NDArray[np.int64]:
-    """What each of ``new`` pixels covers of each of ``old``, ``[new, old]``; rows sum to ``old``.
+def _summed(
+    array: NDArray[Any], axis: int, which: NDArray[np.int64], shares: NDArray[Any]
+) -> NDArray[Any]:
+    """New pixels along an axis, not yet divided: sums of ``array`` at ``which`` by ``shares``."""
+    rest = [1] * array.ndim
+    rest[axis] = -1
+    parts = (
+        np.take(array, which[:, k], axis) * shares[:, k].reshape(rest)
+        for k in range(which.shape[1])
+    )
+    total: NDArray[Any] = next(parts)
+    for part in parts:
+        total += part
+    return total
 
-    A line of ``old * new`` units: old pixels have ``new`` of them, new ones ``old``.
+
+def _kind(least: int) -> type[np.unsignedinteger[Any]]:
+    """Whole numbers that hold ``least``; small ones are quick."""
+    if least < 1 << 16:
+        return np.uint16
+    return np.uint32 if least < 1 << 32 else np.uint64
+
+
+@functools.cache
+def _shares(old: int, new: int) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Which of ``old`` pixels each of ``new`` covers, and how much of it; both ``[new, K]``.
+
+    In units of which a new pixel is so many as the last number says: shares sum to it.
     """
-    begin = np.arange(new)[:, None] * old
-    under = np.arange(old)[None, :] * new
-    shared = np.minimum(begin + old, under + new) - np.maximum(begin, under)
-    shares: NDArray[np.int64] = np.maximum(shared, 0)
-    return shares
+    common = math.gcd(old, new)
+    wide, narrow = old // common, new // common
+    # A line of old * new / common units: old pixels have `narrow` of them, new ones `wide`.
+    begin = np.arange(new) * wide
+    first = begin // narrow
+    most = int(((begin + wide - 1) // narrow - first).max()) + 1
+    which = first[:, None] + np.arange(most)
+    under = which * narrow
+    shared = np.minimum(begin[:, None] + wide, under + narrow) - np.maximum(begin[:, None], under)
+    return np.minimum(which, old - 1), np.maximum(shared, 0), wide

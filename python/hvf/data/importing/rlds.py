@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from hvf.data.importing.example import Feature, byte_strings, decode_example, floats
+from hvf.data.importing.example import Example, Feature, byte_strings, floats
 from hvf.data.importing.importer import Held, Import, Recording, Source, checked
 from hvf.data.importing.tfrecord import Record, find_record_files, records_of
 
@@ -93,7 +93,7 @@ class RldsSource(Source):
         record = self._records[number]
         data = record.read()
         try:
-            features = decode_example(data)
+            features = Example(data)
             views = {
                 camera: np.stack([decode_image(image) for image in byte_strings(features, name)])
                 for camera, name in zip(self.cameras, self._images, strict=True)
@@ -108,7 +108,7 @@ class RldsSource(Source):
     def _steps(self, record: Record) -> int:
         data = record.read()
         try:
-            frames = len(byte_strings(decode_example(data), self._images[0]))
+            frames = len(byte_strings(Example(data), self._images[0]))
         except ValueError as error:
             raise ValueError(f"{record}: {error}") from error
         if frames < 2:
