@@ -168,6 +168,13 @@ def test_endless_sequences_are_no_numbers(endless: Any) -> None:
     with pytest.raises((ValueError, TypeError), match=r"^seeds: "):
         MPC.plan_batch(Point(), np.zeros((1, 2)), np.zeros((1, 2)), seeds=endless)
 
+    class Endless(Point):
+        def rollout_costs(self, starts: Any, goals: Any, actions: Any) -> Any:
+            return endless
+
+    with pytest.raises(ValueError, match=r"^model Endless: rollout_costs must return "):
+        MPC.plan(Endless(), np.zeros((1, 2)), np.zeros((1, 2)))
+
 
 def test_a_call_of_a_model_has_bounded_memory() -> None:
     sizes: list[int] = []

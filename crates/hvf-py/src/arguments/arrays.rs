@@ -140,12 +140,11 @@ pub fn numpy_array<'py>(
         return Ok(object.clone());
     }
     let py = object.py();
-    let items = Lists { argument, left: MOST_ITEMS }.of(object, 0).map_err(|exception| {
-        match is_no_such_thing(py, &exception) {
+    let items =
+        as_lists(argument, object).map_err(|exception| match is_no_such_thing(py, &exception) {
             true => wrong_type(argument, expected, object),
             false => exception,
-        }
-    })?;
+        })?;
     let numpy = py.import(intern!(py, "numpy"))?;
     let made = numpy.call_method1(intern!(py, "asarray"), (items,));
     made.map_err(|exception| {
@@ -163,7 +162,12 @@ pub fn numpy_array<'py>(
     })
 }
 
-/// Sequences as lists, of as many items as each says it has: NumPy would ask some for ever.
+/// `object`, with every sequence in it that is no array as a list, of as many items as it says it
+/// has: `numpy.asarray` would ask some for ever.
+pub fn as_lists<'py>(argument: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    Lists { argument, left: MOST_ITEMS }.of(object, 0)
+}
+
 struct Lists<'a> {
     argument: &'a str,
     /// Items that all of them together may still have.
@@ -183,8 +187,8 @@ impl Lists<'_> {
             return Ok(object.clone());
         }
         if !(object.is_instance_of::<PyList>() || object.is_instance_of::<PyTuple>()) {
-            for method in ["__array__", "__array_interface__", "__array_struct__", "__buffer__"] {
-                if object.hasattr(method)? {
+            for array in ["__array__", "__array_interface__", "__array_struct__", "__dlpack__"] {
+                if object.hasattr(array)? {
                     return Ok(object.clone());
                 }
             }
