@@ -231,8 +231,12 @@ class Seen:
     """What a package makes of a native world: `observe` for images, `native` for the planner."""
 
     def __init__(self, world: LatentWorld) -> None:
-        self.native = world
+        self._native = world
         self.action_low, self.action_high = world.action_low, world.action_high
+
+    @property
+    def native(self) -> LatentWorld:
+        return self._native
 
     def observe(self, images: np.ndarray) -> LatentFrames:
         rows = images.reshape(len(images), -1)[:, :SIZE].astype(np.float32) / 255
@@ -320,10 +324,6 @@ def spoilt(array: np.ndarray) -> np.ndarray:
             r"dynamics\['output'\]: weights must be finite",
         ),
         (
-            {"dynamics": {**GOOD, "input": (GOOD["input"][0].astype(float), GOOD["input"][1])}},
-            r"dynamics\['input'\]\[0\]: expected a NumPy array float32",
-        ),
-        (
             {"dynamics": {**GOOD, "blocks": [(GOOD["input"], GOOD["output"])]}},
             r"dynamics\['blocks'\]: block 0, layer 0: expected weights",
         ),
@@ -341,7 +341,6 @@ def spoilt(array: np.ndarray) -> np.ndarray:
         ({"dynamics": {**CELL, "scale": 1.0}}, r"dynamics: has no entry 'scale'"),
         ({"readout": np.zeros((3, 4), np.float32)}, "readout: expected shape"),
         ({"readout": np.zeros((3, SIZE), np.float32)}, "readout: must not all be zero"),
-        ({"readout": np.zeros((3, SIZE))}, "readout: expected a NumPy array float32"),
         ({"readout": GOOD}, "readout: input: expected weights"),
         ({"weights": np.ones(4, np.float32)}, "weights: expected shape"),
         ({"weights": -np.ones(SIZE, np.float32)}, "weights: must be finite and not negative"),
@@ -368,8 +367,13 @@ def test_what_makes_no_world_is_refused_by_name(arguments: dict[str, Any], said:
         ({"dynamics": {**GOOD, "scale": "much"}}, r"dynamics\['scale'\]: expected"),
         ({"readout": "all"}, "readout: expected"),
         ({"weights": [1.0]}, "weights: expected"),
-        ({"hold": 1.5}, "expected an integer, got float\nwhile processing 'hold'"),
-        ({"action_low": "no"}, "Can't extract `str` to `Vec`\nwhile processing 'action_low'"),
+        ({"hold": 1.5}, "hold: expected an integer, got float"),
+        ({"action_low": "no"}, r"action_low: expected a float array \[A\]"),
+        (
+            {"dynamics": {**GOOD, "input": (GOOD["input"][0].astype(float), GOOD["input"][1])}},
+            r"dynamics\['input'\]\[0\]: expected float32 \[outputs, inputs\], got a float64",
+        ),
+        ({"readout": np.zeros((3, SIZE))}, r"readout: expected float32 \[P, Z\]"),
     ],
 )
 def test_what_is_of_another_type_is_refused_by_name(arguments: dict[str, Any], said: str) -> None:
@@ -387,14 +391,14 @@ def test_calls_that_do_not_fit_are_refused_by_name() -> None:
         world.rollout_costs(frames, goals, drawn_actions(2, 3, 4))
     with pytest.raises(ValueError, match=r"^actions: expected 2 problems, got 1"):
         world.rollout_costs(frames, frames, drawn_actions(1, 3, 4))
-    with pytest.raises(ValueError, match=r"^actions: expected a NumPy array float32"):
+    with pytest.raises(TypeError, match=r"^actions: expected float32 \[B, D, H, A\]"):
         world.rollout(frames, drawn_actions(2, 3, 4).astype(float))
     endless = np.broadcast_to(np.float32(0), (2, 10**6, 10**6, 2))
-    with pytest.raises(ValueError, match=r"^actions: must be at most"):
+    with pytest.raises(MemoryError, match=r"^actions: .* does not fit into memory"):
         world.rollout(frames, endless)
     raw = np.zeros(2 * 3 * 4 * 2 * 4 + 1, np.uint8)[1:]
     askew = raw.view(np.float32).reshape(2, 3, 4, 2)
-    with pytest.raises(ValueError, match=r"^actions: memory must be aligned"):
+    with pytest.raises(ValueError, match=r"^actions: .* memory is misaligned"):
         world.rollout(frames, askew)
 
 

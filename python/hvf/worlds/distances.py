@@ -202,12 +202,12 @@ class KeypointDistanceWorld(Around):
         if self.over_horizon == "last":
             path = path[:, :, -1:]
         with one_thread():
-            costs = self.distances(starts, goals, path)
+            costs = self.between(starts, goals, path)
             total = costs.amin(dim=2) if self.over_horizon == "min" else costs.sum(dim=2)
         result: NDArray[np.float32] = total.numpy()
         return result
 
-    def distances(
+    def between(
         self, starts: hvf_core.KeypointFrames, goals: hvf_core.KeypointFrames, path: Tensor
     ) -> Tensor:
         """Distances `[B, D, H]` of predicted keypoints `path [B, D, H, 2]` to `goals [B]`."""
