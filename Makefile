@@ -56,16 +56,18 @@ bench: setup ## Throughput of maze, costs and planner; ratios to numpy and torch
 	cargo bench -p hvf-core
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
-lint: lint-rust lint-python ## Formatting, clippy, ruff, mypy
+lint: lint-rust lint-python ## Formatting, clippy, ruff, mypy, stub
 
 lint-rust: ## (internal) cargo fmt, clippy
 	cargo fmt --all --check
 	cargo clippy --release --all-targets --quiet -- -D warnings
 
-lint-python: setup ## (internal) ruff, mypy
+lint-python: setup ## (internal) ruff, mypy, stub against module
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python -m mypy.stubtest hvf_core --mypy-config-file pyproject.toml \
+		--allowlist tests/stubtest.allowlist
 
 format: setup ## Rewrite the sources as lint wants them
 	cargo fmt --all

@@ -83,9 +83,9 @@ GOOD = np.zeros((2, 8, 8, 3), np.float32)
 @pytest.mark.parametrize(
     ("a", "b", "options", "error", "message"),
     [
-        (GOOD[0], GOOD, {}, ValueError, r"^a: expected frames \[N, H, W, C\]"),
+        (GOOD[0], GOOD, {}, ValueError, r"^a: expected uint8 or float32 \[N, H, W, C\]"),
         (GOOD.astype(np.float64), GOOD, {}, TypeError, "^a: expected uint8 or float32"),
-        (GOOD, [[1.0]], {}, TypeError, "^b: expected a NumPy array"),
+        (GOOD, [[1.0]], {}, TypeError, "^b: expected uint8 or float32"),
         (GOOD, GOOD.astype(np.uint8), {}, ValueError, "^b: must have the dtype of a"),
         (GOOD, GOOD[:1], {}, ValueError, "^b: must hold as many frames"),
         (GOOD, GOOD[:, :4].copy(), {}, ValueError, "^b: frames must have the shape"),

@@ -389,7 +389,7 @@ def test_bad_calls_are_refused_by_name(dynamics: LayerDynamics) -> None:
         one.shared_rollout_costs(frames, frames, actions_of((3, 2, ACTION), 0))
     with pytest.raises(ValueError, match=r"states: expected shape \[2, 14\]"):
         one.native.draw(frames, np.zeros((1, 14), np.float32))
-    with pytest.raises(ValueError, match=r"index: .* is beyond 2 frames"):
+    with pytest.raises(IndexError, match=r"index: .* is beyond 2 frames"):
         frames[np.array([2])]
     with pytest.raises(ValueError, match=r"images: expected shape \[N, 32, 32, 3\]"):
         one.observe(np.zeros((1, 64, 64, 3), np.uint8))

@@ -141,7 +141,7 @@ ACTIONS = np.zeros((2, 3, 1, 2), np.float32)
         (lambda w: w.rollout_costs(IMAGES[:1], IMAGES, ACTIONS), ValueError, "^starts: "),
         (lambda w: w.rollout_costs(IMAGES, IMAGES[:1], ACTIONS), ValueError, "^goals: "),
         (lambda w: w.rollout_costs(IMAGES, IMAGES, ACTIONS[0]), ValueError, "^actions: "),
-        (lambda w: w.rollout_costs(IMAGES, IMAGES, ACTIONS * np.nan), ValueError, "^actions: "),
+        (lambda w: w.rollout(IMAGES[:1], ACTIONS[0] * np.nan), ValueError, "^actions: "),
         (lambda w: w.rollout_costs(IMAGES, IMAGES, "go"), TypeError, "^actions: "),
         (lambda w: w.rollout_costs(IMAGES, None, ACTIONS), TypeError, "^goals: "),
         (lambda w: w.rollout_costs(IMAGES[:, :32, :32], IMAGES, ACTIONS), ValueError, "^starts: "),

@@ -526,6 +526,10 @@ def test_seeds_out_of_range_are_refused(seed: int) -> None:
         SMALL.plan_batch(PointMass(), START, GOAL, seeds=[seed])
 
 
+class Many(Positions):
+    latent_dim = 5
+
+
 def test_other_arguments_that_do_not_fit_are_named() -> None:
     world = PointMass()
     with pytest.raises(TypeError, match="seed"):
@@ -541,11 +545,14 @@ def test_other_arguments_that_do_not_fit_are_named() -> None:
     with pytest.raises(TypeError, match="warm_start"):
         SMALL.plan(world, START, GOAL, warm_start="last")
     with pytest.raises(ValueError, match="samples"):
-        VisualMPC(samples=2**31).plan(world, START, GOAL)
+        VisualMPC(samples=2**28).plan(world, START, GOAL)
     with pytest.raises(ValueError, match="horizon"):
         VisualMPC(horizon=2**40).plan(world, START, GOAL)
     with pytest.raises(ValueError, match="subgoals"):
-        HVF(subgoals=2**62).search(world, Positions(), START, GOAL)
+        HVF(subgoals=2**16)
+    many = HVF(mpc=SMALL, subgoals=2**16 - 1)
+    with pytest.raises(ValueError, match="subgoals"):
+        many.search(world, Many(), START, GOAL)
     with pytest.raises(ValueError, match="initial_low"):
         VisualMPC(initial_low=[0.0, 0.0, 0.0]).plan(world, START, GOAL)
     with pytest.raises(ValueError, match="initial_low"):
@@ -565,7 +572,7 @@ def test_models_that_lack_something_are_named() -> None:
     with pytest.raises(ValueError, match="action_low"):
         SMALL.plan(world, START, GOAL)
     world.action_low = np.zeros((2, 2), np.float32)
-    with pytest.raises(TypeError, match="action_low"):
+    with pytest.raises(ValueError, match="action_low"):
         SMALL.plan(world, START, GOAL)
     with pytest.raises(TypeError, match="generator: must have latent_dim"):
         SMALL_SEARCH.search(PointMass(), None, START, GOAL)

@@ -79,7 +79,9 @@ class WorldModel(Protocol[F_contra]):
     Optional beside it:
 
     * ``max_candidates``, the most candidates ``B * D`` that the model wants in one call (default
-      65536);
+      65536). A call holds at least one problem; beyond that its actions never take more than
+      256 MiB. Problems that are done drop out, so ``B`` shrinks from call to call: a model that
+      is compiled for one shape plans with ``min_variance=0`` and, in a search, ``prune=False``;
     * the methods of :class:`RolloutSharer`, :class:`Observer` and :class:`Preparer`;
     * ``uses_seeds``, true for a stochastic model: :meth:`rollout_costs` is then called with one
       more keyword argument, ``seeds``, int64 ``[B, D]`` from 0 to 2**63 - 1, and
@@ -89,8 +91,15 @@ class WorldModel(Protocol[F_contra]):
       batch, with rollouts shared or not, on any number of threads. In the first iteration,
       problems under one seed have the same candidates and the same ``seeds``.
 
+    * ``native``, one of the worlds of ``hvf_core``: it is then planned with in this object's place,
+      without the GIL, and only ``observe`` is still called here. A class that has both ``native``
+      and costs of its own (or ``prepare``) says that they agree by defining ``native`` in its
+      body, as a property or an attribute; a subclass that overrides the costs and not ``native``
+      is refused with a ``TypeError``, and plans with its own costs once it sets ``native = None``.
+
     Actions lie within the box, unless the planner's ``clip=False``; what a larger action does is
-    then the model's to say.
+    then the model's to say. A cost that is NaN ranks last: the worlds of ``hvf_core`` give it to a
+    candidate whose actions are not finite.
     """
 
     @property

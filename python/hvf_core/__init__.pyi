@@ -3,8 +3,46 @@ from typing import Any, Literal, SupportsIndex, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import Never, Self
+
+__all__ = [
+    "HVF",
+    "MAZE_ACTION_LIMIT",
+    "MAZE_AGENT_HALF",
+    "MAZE_ARENA",
+    "MAZE_GAP_HALF",
+    "MAZE_GAP_LIMIT",
+    "MAZE_GAP_RANGE",
+    "MAZE_IMAGE_SIZE",
+    "MAZE_REACH",
+    "MAZE_SUCCESS_DISTANCE",
+    "MAZE_VIEW",
+    "MAZE_WALL_X",
+    "KeypointFrames",
+    "KeypointWorld",
+    "LayerFrames",
+    "LayerWorld",
+    "MazeFrames",
+    "MazeSubgoals",
+    "MazeWorld",
+    "Plan",
+    "Plans",
+    "SearchResult",
+    "VisualMPC",
+    "__version__",
+    "image_cost",
+    "maze_collect",
+    "maze_episodes",
+    "maze_locate",
+    "maze_render",
+    "maze_step",
+    "maze_subgoals",
+    "maze_success",
+]
 
 __version__: str
+
+_Index: TypeAlias = SupportsIndex | Sequence[SupportsIndex] | NDArray[np.integer]
 
 # --- maze ---------------------------------------------------------------------------------
 
@@ -21,14 +59,23 @@ MAZE_VIEW: float
 MAZE_WALL_X: tuple[float, float]
 
 def maze_step(states: ArrayLike, actions: ArrayLike) -> NDArray[np.float64]: ...
-def maze_render(states: ArrayLike, size: int = 64) -> NDArray[np.uint8]: ...
+def maze_render(states: ArrayLike, size: SupportsIndex | None = 64) -> NDArray[np.uint8]: ...
 def maze_locate(images: NDArray[np.uint8]) -> NDArray[np.float64]: ...
 def maze_episodes(
-    seed: int, first: int, count: int, difficulty: str
+    seed: SupportsIndex,
+    first: SupportsIndex,
+    count: SupportsIndex,
+    difficulty: Literal["easy", "medium", "hard"],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
-def maze_subgoals(starts: ArrayLike, targets: ArrayLike, subgoals: int) -> NDArray[np.float64]: ...
+def maze_subgoals(
+    starts: ArrayLike, targets: ArrayLike, subgoals: SupportsIndex
+) -> NDArray[np.float64]: ...
 def maze_collect(
-    seed: int, first: int, count: int, steps: int, size: int = 64
+    seed: SupportsIndex,
+    first: SupportsIndex,
+    count: SupportsIndex,
+    steps: SupportsIndex,
+    size: SupportsIndex | None = 64,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float64]]: ...
 def maze_success(states: ArrayLike, targets: ArrayLike) -> NDArray[np.bool_]: ...
 
@@ -100,7 +147,7 @@ class VisualMPC:
         warm_start_std: float = 1.0,
         clip: bool = True,
         best: Literal["all", "last"] = "all",
-    ) -> VisualMPC: ...
+    ) -> Self: ...
     def __hash__(self) -> int: ...
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
     @property
@@ -116,7 +163,7 @@ class VisualMPC:
     @property
     def action_repeat(self) -> int: ...
     @property
-    def initial(self) -> str: ...
+    def initial(self) -> Literal["uniform", "normal"]: ...
     @property
     def initial_low(self) -> list[float] | None: ...
     @property
@@ -145,7 +192,8 @@ class VisualMPC:
 
         Args:
             model: A world of this module, an object whose ``native`` is one, or any object with
-                the methods of ``hvf.protocols.WorldModel``.
+                the methods of ``hvf.protocols.WorldModel``. Costs of its own that ``native``
+                would hide are refused; see there.
             start: One uint8 image ``[height, width, 3]`` (which goes through the model's
                 ``observe``, if it has one) or one frame of the model, ``[1]``.
             goal: The same for the goal.
@@ -159,7 +207,10 @@ class VisualMPC:
             ValueError: An argument does not fit, or the model answered with the wrong shape or
                 with NaN only; the message names the argument or the model's method.
             TypeError: An argument is of the wrong kind, or the model lacks a method.
-            KeyboardInterrupt: Ctrl-C, within a second. What a model raises comes back as it is.
+            KeyboardInterrupt: Ctrl-C: within a second of native work, else between two calls of
+                the model. What a model raises comes back as it is.
+            RuntimeError: This process was forked after the module had worked in its parent, whose
+                threads it lacks; start processes by 'spawn' or 'forkserver'.
         """
 
     def plan_batch(
@@ -174,8 +225,8 @@ class VisualMPC:
 
         Args:
             model: As for :meth:`plan`.
-            starts: Uint8 images ``[B, height, width, 3]`` or frames of the model, ``[B]``; or one,
-                ``[1, ...]``, for all goals. Three axes are never one image here.
+            starts: Uint8 images ``[B, height, width, 3]`` or frames of the model, ``[B]``, at most
+                2**20; or one, ``[1, ...]``, for all goals. Three axes are never one image here.
             goals: Images or frames, ``[B]``.
             seeds: One seed for all, one for each ``[B]``, or ``None`` for 0. Problems with one
                 start and one seed share their first iteration's rollouts where the model can.
@@ -189,6 +240,7 @@ class VisualMPC:
 class Plan:
     """The best actions found for one problem."""
 
+    def __new__(cls, never: Never, /) -> Self: ...  # planners make these
     @property
     def actions(self) -> NDArray[np.float32]:
         """Actions, float32 ``[H, A]``."""
@@ -213,6 +265,7 @@ class Plan:
 class Plans:
     """The best actions found for every problem of a batch; ``plans[b]`` is a :class:`Plan`."""
 
+    def __new__(cls, never: Never, /) -> Self: ...  # planners make these
     @property
     def actions(self) -> NDArray[np.float32]:
         """Actions, float32 ``[B, H, A]``."""
@@ -230,7 +283,7 @@ class Plans:
         """As :attr:`Plan.history`, float32 ``[B, I]`` each; NaN after a problem was done."""
 
     def __len__(self) -> int: ...
-    def __getitem__(self, index: int, /) -> Plan: ...
+    def __getitem__(self, index: SupportsIndex, /) -> Plan: ...
     def __iter__(self) -> Iterator[Plan]: ...
 
 @final
@@ -280,11 +333,11 @@ class HVF:
         prune: bool = True,
         share_rollouts: bool = True,
         best: Literal["all", "last"] = "all",
-    ) -> HVF: ...
+    ) -> Self: ...
     def __hash__(self) -> int: ...
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
     @property
-    def mpc(self) -> VisualMPC: ...
+    def mpc(self) -> Self: ...
     @property
     def subgoals(self) -> int: ...
     @property
@@ -296,7 +349,7 @@ class HVF:
     @property
     def min_variance(self) -> float: ...
     @property
-    def reduction(self) -> str: ...
+    def reduction(self) -> Literal["max", "mean"]: ...
     @property
     def keep_elites(self) -> int: ...
     @property
@@ -349,6 +402,7 @@ class HVF:
 class SearchResult:
     """What the subgoal search found."""
 
+    def __new__(cls, never: Never, /) -> Self: ...  # planners make these
     @property
     def subgoals(self) -> Any:
         """Subgoals in the order to reach them: frames of the model, ``[K]``."""
@@ -383,10 +437,11 @@ class SearchResult:
 
 # --- the maze as a world model --------------------------------------------------------------
 
+@final
 class MazeFrames:
-    def __init__(self, states: ArrayLike, image_size: int = 64) -> None: ...
+    def __new__(cls, states: ArrayLike, image_size: SupportsIndex = 64) -> Self: ...
     def __len__(self) -> int: ...
-    def __getitem__(self, index: int | NDArray[np.int64]) -> MazeFrames: ...
+    def __getitem__(self, index: _Index, /) -> MazeFrames: ...
     @property
     def states(self) -> NDArray[np.float64]: ...
     @property
@@ -394,18 +449,20 @@ class MazeFrames:
     @property
     def image_size(self) -> int: ...
 
+@final
 class MazeWorld:
     """The maze's true simulator as a world model.
 
-    Actions beyond the box ``[-3, 3]`` count as the nearest within, as in the environment.
+    Actions beyond the box ``[-3, 3]`` count as the nearest within, as in the environment; a
+    candidate whose actions are not finite costs NaN.
     """
 
-    def __init__(
-        self,
-        image_size: int = 64,
+    def __new__(
+        cls,
+        image_size: SupportsIndex = 64,
         blur: float = 0.0,
         over_horizon: Literal["last", "sum", "min"] = "last",
-    ) -> None: ...
+    ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]: ...
     @property
@@ -415,7 +472,7 @@ class MazeWorld:
     @property
     def blur(self) -> float: ...
     @property
-    def over_horizon(self) -> str: ...
+    def over_horizon(self) -> Literal["last", "sum", "min"]: ...
     def observe(self, images: NDArray[np.uint8]) -> MazeFrames: ...
     def rollout_costs(
         self,
@@ -433,14 +490,16 @@ class MazeWorld:
         self, start: MazeFrames | NDArray[np.uint8], actions: ArrayLike
     ) -> NDArray[np.float64]: ...
 
+@final
 class MazeSubgoals:
-    def __init__(self, latent_dim: int = 8) -> None: ...
+    def __new__(cls, latent_dim: SupportsIndex = 8) -> Self: ...
     @property
     def latent_dim(self) -> int: ...
     def decode(self, scene: object, latents: ArrayLike) -> MazeFrames: ...
 
 # --- the compact learned dynamics model -----------------------------------------------------
 
+@final
 class KeypointFrames:
     """Frames of a `KeypointWorld`: images, where the moving part is, and a map of the rest.
 
@@ -448,8 +507,9 @@ class KeypointFrames:
     needed; frames picked with `[]` and frames from `moved` share it.
     """
 
+    def __new__(cls, never: Never, /) -> Self: ...  # worlds make these
     def __len__(self) -> int: ...
-    def __getitem__(self, index: NDArray[np.int64]) -> KeypointFrames: ...
+    def __getitem__(self, index: _Index, /) -> KeypointFrames: ...
     @property
     def images(self) -> NDArray[np.uint8]:
         """The images, uint8 `[N, S, S, 3]` (a copy)."""
@@ -471,6 +531,7 @@ class KeypointFrames:
                 that are not finite.
         """
 
+@final
 class KeypointWorld:
     """The compact learned dynamics model, evaluated in Rust; a world model.
 
@@ -502,11 +563,12 @@ class KeypointWorld:
         over_horizon: `"last"`, `"sum"` or `"min"` over the predicted frames.
 
     Raises:
-        ValueError: shapes that do not fit each other, or numbers out of range.
+        ValueError: shapes that do not fit each other, or numbers out of range, of any size.
+        TypeError: arrays of another dtype, or objects of another kind.
     """
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         *,
         patch: NDArray[np.float32],
         patch_bias: NDArray[np.float32],
@@ -517,17 +579,17 @@ class KeypointWorld:
         output_bias: NDArray[np.float32],
         free: NDArray[np.float32],
         action_scale: float,
-        spacing: int,
-        substeps: int,
+        spacing: SupportsIndex,
+        substeps: SupportsIndex,
         half_size: Sequence[float],
         edge: Sequence[float],
         colour: Sequence[float],
         action_low: Sequence[float],
         action_high: Sequence[float],
-        image_size: int,
+        image_size: SupportsIndex,
         blur: float = 0.0,
         over_horizon: Literal["last", "sum", "min"] = "last",
-    ) -> None: ...
+    ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]:
         """Lowest action, float32 `[A]`."""
@@ -723,14 +785,16 @@ class LatentWorld:
 
 _Layer: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
 
+@final
 class LayerFrames:
     """Frames of a `LayerWorld`: images, the same without the arm, where parts are, and states.
 
     Made by `LayerWorld.frames`. Frames picked with `[]` share memory.
     """
 
+    def __new__(cls, never: Never, /) -> Self: ...  # worlds make these
     def __len__(self) -> int: ...
-    def __getitem__(self, index: NDArray[np.int64]) -> LayerFrames: ...
+    def __getitem__(self, index: _Index, /) -> LayerFrames: ...
     @property
     def images(self) -> NDArray[np.uint8]:
         """The images, uint8 `[N, S, S, 3]` (a copy)."""
@@ -738,6 +802,7 @@ class LayerFrames:
     def states(self) -> NDArray[np.float32]:
         """The states, float32 `[N, X]` (a copy)."""
 
+@final
 class LayerWorld:
     """The desk's learned dynamics model, evaluated in Rust; a world model with actions in [-1, 1].
 
@@ -774,11 +839,12 @@ class LayerWorld:
         over_horizon: `"last"`, `"sum"` or `"min"` over the predicted frames.
 
     Raises:
-        ValueError: shapes that do not fit each other, or numbers out of range.
+        ValueError: shapes that do not fit each other, or numbers out of range, of any size.
+        TypeError: arrays of another dtype, or objects of another kind.
     """
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         *,
         hand: Sequence[_Layer],
         sliders: Sequence[Sequence[_Layer]],
@@ -793,8 +859,8 @@ class LayerWorld:
         table: NDArray[np.uint8],
         sprites: NDArray[np.float32],
         blur: float = 0.0,
-        over_horizon: str = "last",
-    ) -> None: ...
+        over_horizon: Literal["last", "sum", "min"] = "last",
+    ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]:
         """Lowest action, float32 `[A]`."""

@@ -14,34 +14,23 @@ pub const LANES: usize = 16;
 pub type Lanes = [f32; LANES];
 
 /// Outputs that are summed at once; 4 x 16 lanes fill the vector registers.
-pub(crate) const OUTPUTS: usize = 4;
+const OUTPUTS: usize = 4;
 
 /// Weights of a layer, [`OUTPUTS`] outputs together: `[outputs / OUTPUTS][inputs][OUTPUTS]`.
 #[derive(Clone, Debug)]
-pub(crate) struct Packed(Vec<[f32; OUTPUTS]>);
+struct Packed(Vec<[f32; OUTPUTS]>);
 
 impl Packed {
     /// Packs `weights[outputs, inputs]`, with rows of zeros up to a multiple of [`OUTPUTS`].
-    pub(crate) fn new(weights: ArrayView2<'_, f32>, scale: impl Fn(usize) -> f32) -> Self {
+    fn new(weights: ArrayView2<'_, f32>) -> Self {
         let (outputs, inputs) = weights.dim();
-        let at = |row: usize, column: usize| {
-            weights.get((row, column)).map_or(0.0, |weight| weight * scale(column))
-        };
+        let at = |row: usize, column: usize| weights.get((row, column)).copied().unwrap_or(0.0);
         Self(
             (0..outputs.div_ceil(OUTPUTS))
                 .flat_map(|block| (0..inputs).map(move |column| (block * OUTPUTS, column)))
                 .map(|(first, column)| std::array::from_fn(|q| at(first + q, column)))
                 .collect(),
         )
-    }
-
-    /// Adds weights times `inputs` to `out`.
-    #[inline(always)]
-    pub(crate) fn accumulate(&self, inputs: &[Lanes], out: &mut [Lanes]) {
-        let outs = out.as_chunks_mut::<OUTPUTS>().0;
-        for (out, weights) in outs.iter_mut().zip(self.0.chunks_exact(inputs.len())) {
-            *out = weighted_sums(*out, weights, inputs);
-        }
     }
 }
 
@@ -76,7 +65,7 @@ impl Layer {
         let mut padded = bias.to_vec();
         padded.resize(bias.len().next_multiple_of(OUTPUTS), 0.0);
         Self {
-            weights: Packed::new(weights, |_| 1.0),
+            weights: Packed::new(weights),
             bias: padded.as_chunks().0.to_vec(),
             outputs: bias.len(),
         }
@@ -109,7 +98,7 @@ impl Layer {
 
 /// Negative values to zero.
 #[inline(always)]
-pub(crate) fn rectify(units: &mut [Lanes]) {
+fn rectify(units: &mut [Lanes]) {
     for value in units.as_flattened_mut() {
         *value = value.max(0.0);
     }

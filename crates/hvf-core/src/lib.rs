@@ -14,5 +14,6 @@ pub mod layers;
 pub mod maze;
 pub mod nn;
 pub mod planner;
+mod rows;
 
 pub use error::{Error, Result};

@@ -5,15 +5,15 @@ use hvf_core_rs::latent::{Known, LatentFrames, LatentWorld};
 use hvf_core_rs::planner::{ActionSpace, Frames, WorldModel};
 use ndarray::{Array, Array2, Array4, ArrayView, Dimension, Ix1};
 use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray4, PyArrayLikeDyn, PyReadonlyArray1, PyReadonlyArray2,
+    IntoPyArray, PyArray1, PyArray2, PyArray4, PyReadonlyArray1, PyReadonlyArray2,
     PyReadonlyArray3, PyReadonlyArray4,
 };
-use pyo3::exceptions::{PyAttributeError, PyIndexError, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyAttributeError, PyValueError};
 use pyo3::prelude::*;
 
+use crate::arguments::{array, indices, numbers, text, Text, Whole};
 use crate::error::to_py;
-use crate::latent_weights::{self, array};
-use crate::planner::arguments::Whole;
+use crate::latent_weights;
 
 /// The most numbers that one call takes actions of.
 const MAX_VALUES: usize = 1 << 28;
@@ -36,13 +36,13 @@ impl PyLatentFrames {
         constants: Option<&Bound<'_, PyAny>>,
         images: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        let latents: PyReadonlyArray2<'_, f32> = array("latents", "float32 [N, Z]", latents)?;
+        let latents: PyReadonlyArray2<'_, f32> = array("latents", latents, "float32 [N, Z]")?;
         let targets: Option<PyReadonlyArray2<'_, f32>> =
-            targets.map(|given| array("targets", "float32 [N, P]", given)).transpose()?;
+            targets.map(|given| array("targets", given, "float32 [N, P]")).transpose()?;
         let constants: Option<PyReadonlyArray1<'_, f32>> =
-            constants.map(|given| array("constants", "float32 [N]", given)).transpose()?;
+            constants.map(|given| array("constants", given, "float32 [N]")).transpose()?;
         let images: Option<PyReadonlyArray4<'_, u8>> =
-            images.map(|given| array("images", "uint8 [N, H, W, 3]", given)).transpose()?;
+            images.map(|given| array("images", given, "uint8 [N, H, W, 3]")).transpose()?;
         let known = Known {
             targets: targets.as_ref().map(|rows| rows.as_array()),
             constants: constants.as_ref().map(|numbers| numbers.as_array()),
@@ -57,24 +57,7 @@ impl PyLatentFrames {
 
     /// The frames at `index`: an integer (one frame, still a batch) or an integer array.
     fn __getitem__(&self, index: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let complaint = || PyTypeError::new_err("index: expected an integer or an int64 array");
-        let index: Vec<i64> = match index.extract::<i64>() {
-            Ok(one) => vec![one],
-            Err(_) => {
-                let many: PyArrayLikeDyn<'_, i64> = index.extract().map_err(|_| complaint())?;
-                let many = many.as_array().to_owned();
-                many.into_dimensionality::<Ix1>().map_err(|_| complaint())?.to_vec()
-            }
-        };
-        let count = self.inner.len() as i64;
-        let picked = index
-            .into_iter()
-            .map(|i| match i {
-                0.. if i < count => Ok(i as usize),
-                ..0 if i >= -count => Ok((i + count) as usize),
-                _ => Err(PyIndexError::new_err(format!("index {i} is beyond {count} frames"))),
-            })
-            .collect::<PyResult<Vec<usize>>>()?;
+        let picked = indices(index, self.inner.len())?;
         Ok(Self { inner: self.inner.select(&picked).map_err(to_py)? })
     }
 
@@ -132,22 +115,25 @@ pub struct PyLatentWorld {
 impl PyLatentWorld {
     #[new]
     #[pyo3(signature = (
-        action_low, action_high, dynamics, *, readout=None, weights=None, over_horizon="last",
-        hold=Whole(1)
+        action_low, action_high, dynamics, *, readout=None, weights=None, over_horizon=text("last"),
+        hold=Whole::of(1)
     ), text_signature = "(action_low, action_high, dynamics, *, readout=None, weights=None, \
                          over_horizon='last', hold=1)")]
     #[allow(clippy::too_many_arguments)]
     fn new(
-        action_low: Vec<f32>,
-        action_high: Vec<f32>,
+        action_low: &Bound<'_, PyAny>,
+        action_high: &Bound<'_, PyAny>,
         dynamics: &Bound<'_, PyAny>,
         readout: Option<&Bound<'_, PyAny>>,
         weights: Option<&Bound<'_, PyAny>>,
-        over_horizon: &str,
+        over_horizon: Text,
         hold: Whole,
     ) -> PyResult<Self> {
-        let actions = ActionSpace::new(action_low, action_high).map_err(to_py)?;
-        let over_horizon = OverHorizon::from_name(over_horizon).map_err(to_py)?;
+        let low = numbers::<f32, Ix1>("action_low", action_low, "a float array [A]")?.to_vec();
+        let high = numbers::<f32, Ix1>("action_high", action_high, "a float array [A]")?.to_vec();
+        let actions = ActionSpace::new(low, high).map_err(to_py)?;
+        let over_horizon = over_horizon.get("over_horizon")?;
+        let over_horizon = OverHorizon::from_name(&over_horizon).map_err(to_py)?;
         let hold = hold.count("hold")?;
         let dynamics = latent_weights::dynamics(dynamics)?;
         let cost = latent_weights::cost(dynamics.latent_dim(), readout, weights)?;
@@ -199,7 +185,7 @@ impl PyLatentWorld {
         goals: &PyLatentFrames,
         actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let actions = array("actions", "float32 [B, D, H, A]", actions)?;
+        let actions = array("actions", actions, "float32 [B, D, H, A]")?;
         let actions = owned(actions.as_array())?;
         let costs = py
             .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions.into()))
@@ -216,7 +202,7 @@ impl PyLatentWorld {
         goals: &PyLatentFrames,
         actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let actions: PyReadonlyArray3<'_, f32> = array("actions", "float32 [D, H, A]", actions)?;
+        let actions: PyReadonlyArray3<'_, f32> = array("actions", actions, "float32 [D, H, A]")?;
         let actions = owned(actions.as_array())?;
         let costs = py
             .detach(|| self.inner.shared_costs(&start.inner, &goals.inner, actions.view()))
@@ -231,7 +217,7 @@ impl PyLatentWorld {
         starts: &PyLatentFrames,
         actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray4<f32>>> {
-        let actions = array("actions", "float32 [B, D, H, A]", actions)?;
+        let actions = array("actions", actions, "float32 [B, D, H, A]")?;
         let actions: Array4<f32> = owned(actions.as_array())?;
         let paths =
             py.detach(|| self.inner.rollout(&starts.inner, actions.view())).map_err(to_py)?;

@@ -3,38 +3,14 @@
 use hvf_core_rs::latent::{Dynamics, LatentCost, Readout};
 use hvf_core_rs::nn::{Activation, GruWeights, Linear, ResidualWeights};
 use hvf_core_rs::Error;
-use ndarray::{aview1, Dimension};
-use numpy::{
-    Element, PyArray, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2,
-};
+use ndarray::aview1;
+use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::{PyTypeError, PyValueError};
-use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping};
 
+use crate::arguments::{array, describe};
 use crate::error::to_py;
-use crate::planner::arguments::describe;
-
-/// An array of this type and this many axes, borrowed.
-pub fn array<'py, T: Element, D: Dimension>(
-    argument: &str,
-    expected: &str,
-    object: &Bound<'py, PyAny>,
-) -> PyResult<PyReadonlyArray<'py, T, D>> {
-    let found = object.cast::<PyArray<T, D>>().map_err(|_| {
-        let problem =
-            format!("{argument}: expected a NumPy array {expected}, got {}", describe(object));
-        match object.hasattr("shape") {
-            Ok(true) => PyValueError::new_err(problem),
-            _ => PyTypeError::new_err(problem),
-        }
-    })?;
-    if !found.getattr(intern!(object.py(), "flags"))?.get_item("ALIGNED")?.extract::<bool>()? {
-        let problem = format!("{argument}: memory must be aligned, as that of a copy is");
-        return Err(PyValueError::new_err(problem));
-    }
-    found.try_readonly().map_err(|error| PyValueError::new_err(format!("{argument}: {error}")))
-}
 
 /// Weights and bias of a layer.
 struct Layer<'py>(PyReadonlyArray2<'py, f32>, PyReadonlyArray1<'py, f32>);
@@ -43,8 +19,8 @@ impl<'py> Layer<'py> {
     fn read(place: &str, object: &Bound<'py, PyAny>) -> PyResult<Self> {
         let [weights, bias] = pair(place, "weights and bias of a layer", object)?;
         Ok(Self(
-            array(&format!("{place}[0]"), "float32 [outputs, inputs]", &weights)?,
-            array(&format!("{place}[1]"), "float32 [outputs]", &bias)?,
+            array(&format!("{place}[0]"), &weights, "float32 [outputs, inputs]")?,
+            array(&format!("{place}[1]"), &bias, "float32 [outputs]")?,
         ))
     }
 
@@ -207,8 +183,8 @@ pub fn dynamics(object: &Bound<'_, PyAny>) -> PyResult<Dynamics> {
     let entries = Entries::read("dynamics", what, object)?;
     let made = if entries.has("weight_hh")? {
         let matrix =
-            |name: &str| array(&entries.place(name), "float32 [3 Z, inputs]", &entries.must(name)?);
-        let bias = |name: &str| array(&entries.place(name), "float32 [3 Z]", &entries.must(name)?);
+            |name: &str| array(&entries.place(name), &entries.must(name)?, "float32 [3 Z, inputs]");
+        let bias = |name: &str| array(&entries.place(name), &entries.must(name)?, "float32 [3 Z]");
         let (weight_ih, weight_hh): (PyReadonlyArray2<'_, f32>, PyReadonlyArray2<'_, f32>) =
             (matrix("weight_ih")?, matrix("weight_hh")?);
         let (bias_ih, bias_hh): (PyReadonlyArray1<'_, f32>, PyReadonlyArray1<'_, f32>) =
@@ -228,7 +204,7 @@ pub fn dynamics(object: &Bound<'_, PyAny>) -> PyResult<Dynamics> {
                 Err(_) => {
                     let expected = "float32 [Z], or a number";
                     let scale: PyReadonlyArray1<'_, f32> =
-                        array(&entries.place("scale"), expected, &scale)?;
+                        array(&entries.place("scale"), &scale, expected)?;
                     scale.as_array().to_vec()
                 }
             }),
@@ -246,7 +222,7 @@ pub fn cost(
     weights: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<LatentCost> {
     let weights: Option<PyReadonlyArray1<'_, f32>> =
-        weights.map(|weights| array("weights", "float32 [P]", weights)).transpose()?;
+        weights.map(|weights| array("weights", weights, "float32 [P]")).transpose()?;
     let weights = weights.as_ref().map(|weights| weights.as_array());
     let made = |readout: &Readout<'_>| LatentCost::new(latent_dim, readout, weights).map_err(to_py);
     let Some(object) = readout else {
@@ -259,7 +235,7 @@ pub fn cost(
         return made(&Readout::Network(network.view()));
     }
     let expected = "float32 [P, Z], or a dict of a network's weights";
-    let matrix: PyReadonlyArray2<'_, f32> = array("readout", expected, object)?;
+    let matrix: PyReadonlyArray2<'_, f32> = array("readout", object, expected)?;
     let view = matrix.as_array();
     made(&Readout::Matrix(view))
 }

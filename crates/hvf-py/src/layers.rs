@@ -26,9 +26,22 @@ type Layer<'py> = (PyReadonlyArray2<'py, f32>, PyReadonlyArray1<'py, f32>);
 /// Most layers of a network, and most networks of one kind.
 const MOST_LAYERS: usize = 1 << 10;
 
+fn few<'py>(
+    argument: &str,
+    object: &Bound<'py, PyAny>,
+    expected: &str,
+) -> PyResult<Vec<Bound<'py, PyAny>>> {
+    let found = items(argument, object, expected, MOST_LAYERS)?;
+    if found.len() > MOST_LAYERS {
+        let problem = format!("{argument}: expected at most {MOST_LAYERS} {expected}, got more");
+        return Err(PyValueError::new_err(problem));
+    }
+    Ok(found)
+}
+
 fn layers<'py>(argument: &str, object: &Bound<'py, PyAny>) -> PyResult<Vec<Layer<'py>>> {
     const EXPECTED: &str = "layers (weights, bias)";
-    let pairs = items(argument, object, EXPECTED, MOST_LAYERS)?;
+    let pairs = few(argument, object, EXPECTED)?;
     let layer = |pair: Bound<'py, PyAny>| match items(argument, &pair, EXPECTED, 2)?.as_slice() {
         [weights, bias] => Ok((
             array(argument, weights, "weights float32 [outputs, inputs]")?,
@@ -122,7 +135,7 @@ impl PyLayerWorld {
         over_horizon: Text,
     ) -> PyResult<Self> {
         let hand = layers("hand", hand)?;
-        let sliders = items("sliders", sliders, "networks of layers", MOST_LAYERS)?;
+        let sliders = few("sliders", sliders, "networks of layers")?;
         let sliders: Vec<Vec<Layer<'_>>> =
             sliders.iter().map(|network| layers("sliders", network)).collect::<PyResult<_>>()?;
         let parts = layers("parts", parts)?;

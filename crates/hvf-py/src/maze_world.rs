@@ -164,7 +164,7 @@ impl PyMazeWorld {
     /// Planning costs float32 `[B, D]` of `actions [B, D, H, 2]` from `starts` to `goals`, B
     /// frames each (`MazeFrames` or uint8 images).
     ///
-    /// Raises ValueError for other shapes or actions that are not finite.
+    /// A candidate whose actions are not finite costs NaN. Raises ValueError for other shapes.
     fn rollout_costs<'py>(
         &self,
         py: Python<'py>,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from hvf.domains.domain import Domain, Place
 from hvf.domains.weights import WEIGHTS
 from hvf.protocols import Images, Indices, SubgoalModel, WorldModel
 from hvf.settings import Planning, Preset, World
+
+if TYPE_CHECKING:
+    from hvf.envs.maze.task import Difficulty
 
 STEPS = 50
 """Steps of an episode, ``T``."""
@@ -30,7 +33,8 @@ class MazeTrials:
         self, seed: int, first: int, count: int, difficulty: str, image_size: int = 64
     ) -> None:
         self.image_size = image_size
-        self.states, self.targets = hvf_core.maze_episodes(seed, first, count, difficulty)
+        chosen = cast("Difficulty", difficulty)  # checked in Rust
+        self.states, self.targets = hvf_core.maze_episodes(seed, first, count, chosen)
         self._goals = self._render(np.concatenate([self.targets, self.states[:, 2:]], axis=1))
 
     @property

@@ -42,9 +42,6 @@ class LatentWorld(Around):
 
     Raises:
         ValueError: more blur than the model's, or an ``action_repeat`` that it cannot take.
-
-    Attributes:
-        native: the `hvf_core.LatentWorld` that the planner runs without the GIL.
     """
 
     def __init__(
@@ -70,7 +67,7 @@ class LatentWorld(Around):
         self._scale = model.basis.scale / config.cells**0.5
         factor = self._scale.cpu().numpy()
         matrix, bias = _layer(model.readout.output)
-        self.native = hvf_core.LatentWorld(
+        self._native = hvf_core.LatentWorld(
             config.action_low,
             config.action_high,
             _network(model.network),
@@ -83,6 +80,11 @@ class LatentWorld(Around):
             over_horizon=over_horizon,
             hold=model.hold,
         )
+
+    @property
+    def native(self) -> hvf_core.LatentWorld:
+        """The world in Rust, which the planner runs without the GIL."""
+        return self._native
 
     @property
     def inner(self) -> Any:

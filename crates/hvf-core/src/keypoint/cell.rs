@@ -4,12 +4,14 @@
 //! the action and at a short memory, and moves keypoint and memory on: what a wall does to the
 //! motion depends on what is near, wherever in the scene that is.
 //!
-//! One block is [`LANES`] candidates of one problem (see [`lanes`](crate::lanes)).
+//! One block is up to [`LANES`] candidates of one problem: every layer is worked out for all of them
+//! before the next, hidden units side by side in the vector registers (`rows.rs`).
 
 use ndarray::{ArrayView1, ArrayView2};
 
-use super::field::SceneField;
-use crate::lanes::{rectify, Lanes, Layer, Packed, LANES, OUTPUTS};
+use super::field::{Place, SceneField};
+use crate::lanes::{Lanes, LANES};
+use crate::rows::{padded, panels, vectors, Last, Middle, Units, Vector, NARROW};
 use crate::{Error, Result};
 
 /// Weights of the cell as `torch.nn.Linear` stores them: `[outputs, inputs]`.
@@ -43,6 +45,9 @@ pub struct CellWeights<'a> {
     pub substeps: usize,
 }
 
+/// What the number of hidden units is a multiple of.
+const HIDDEN_MULTIPLE: usize = 4;
+
 /// The cell, with its weights packed for blocks of candidates.
 #[derive(Clone, Debug)]
 pub struct Cell {
@@ -51,27 +56,27 @@ pub struct Cell {
     memory: usize,
     spacing: usize,
     substeps: usize,
-    /// `[taps * taps][hidden]`.
-    patch: Vec<f32>,
-    patch_bias: Vec<f32>,
-    /// A actions (weights already divided by the scale), then C numbers of memory.
-    context: Packed,
-    middle: Layer,
+    /// `[taps * taps][hidden]`, hidden units filled up to whole vectors.
+    patch: Vec<Vector>,
+    /// `[hidden]`, filled up as well.
+    patch_bias: Vec<Vector>,
+    /// `[panels][A + C][hidden units of the panel]`, as well: actions (weights already divided by
+    /// the scale), then memory.
+    context: Vec<Vec<Vector>>,
+    middle: Middle,
     /// Motion, then memory.
-    output: Layer,
-    /// `[2][A]`, already divided by the scale.
-    free: Vec<f32>,
+    output: Last,
+    /// `[A][2 + C]`, already divided by the scale, filled up to whole groups; nothing for memory.
+    free: Vec<Vec<[f32; NARROW]>>,
 }
 
 /// Room for one block.
 #[derive(Clone, Debug)]
 pub struct Scratch {
-    row: Vec<f32>,
-    /// Actions, then memory.
-    context: Vec<Lanes>,
-    first: Vec<Lanes>,
-    second: Vec<Lanes>,
-    moved: Vec<Lanes>,
+    /// Keypoint and memory of each, `[LANES][2 + C]`, filled up to whole groups.
+    state: Vec<[f32; NARROW]>,
+    first: Units,
+    second: Units,
 }
 
 /// Most substeps of an action, each of which takes its time, and pixels between taps.
@@ -89,10 +94,10 @@ impl CellWeights<'_> {
     /// Checks that all shapes fit each other, and all numbers are finite; returns `(A, C)`.
     fn validate(&self) -> Result<(usize, usize)> {
         let (hidden, taps) = self.patch.dim();
-        if hidden == 0 || hidden % OUTPUTS != 0 {
+        if hidden == 0 || hidden % HIDDEN_MULTIPLE != 0 {
             return Err(Error::invalid(
                 "patch",
-                format!("expected a positive multiple of {OUTPUTS} rows, got {hidden}"),
+                format!("expected a positive multiple of {HIDDEN_MULTIPLE} rows, got {hidden}"),
             ));
         }
         if taps.isqrt().pow(2) != taps || taps % 2 == 0 {
@@ -158,27 +163,42 @@ impl Cell {
         let (action_dim, memory) = weights.validate()?;
         let hidden = weights.patch.nrows();
         let scale = 1.0 / weights.action_scale;
+        let rows = |matrix: ArrayView2<'_, f32>, scale: &dyn Fn(usize) -> f32| -> Vec<Vector> {
+            let columns = matrix.columns().into_iter().enumerate();
+            columns
+                .flat_map(|(j, column)| padded(column.iter().map(|weight| weight * scale(j))))
+                .collect()
+        };
         Ok(Self {
             hidden,
             action_dim,
             memory,
             spacing: weights.spacing,
             substeps: weights.substeps,
-            patch: weights.patch.t().iter().copied().collect(),
-            patch_bias: weights.patch_bias.to_vec(),
-            context: Packed::new(
-                weights.context,
-                |column| {
-                    if column < action_dim {
-                        scale
-                    } else {
-                        1.0
+            patch: rows(weights.patch, &|_| 1.0),
+            patch_bias: padded(weights.patch_bias.iter().copied()),
+            context: panels(vectors(hidden))
+                .map(|(first, width)| {
+                    let context =
+                        rows(weights.context, &|j| if j < action_dim { scale } else { 1.0 });
+                    let of_panel = |all: &[Vector]| all[first..first + width].to_vec();
+                    context.chunks(vectors(hidden)).flat_map(of_panel).collect()
+                })
+                .collect(),
+            middle: Middle::new(weights.middle, weights.middle_bias),
+            output: Last::new(weights.output, weights.output_bias),
+            free: weights
+                .free
+                .columns()
+                .into_iter()
+                .map(|motion| {
+                    let mut outputs = vec![[0.0; NARROW]; (2 + memory).div_ceil(NARROW)];
+                    for (output, weight) in outputs.as_flattened_mut().iter_mut().zip(motion) {
+                        *output = weight * scale;
                     }
-                },
-            ),
-            middle: Layer::new(weights.middle, weights.middle_bias),
-            output: Layer::new(weights.output, weights.output_bias),
-            free: weights.free.iter().map(|weight| weight * scale).collect(),
+                    outputs
+                })
+                .collect(),
         })
     }
 
@@ -195,64 +215,117 @@ impl Cell {
     /// Room for one block.
     pub fn scratch(&self) -> Scratch {
         Scratch {
-            row: vec![0.0; self.hidden],
-            context: vec![[0.0; LANES]; self.action_dim + self.memory],
-            first: vec![[0.0; LANES]; self.hidden],
-            second: self.middle.room(),
-            moved: self.output.room(),
+            state: vec![[0.0; NARROW]; LANES * self.output.groups()],
+            first: Units::new(self.hidden),
+            second: Units::new(self.hidden),
         }
     }
 
-    /// Moves a block of keypoints (row, column in pixels) by one action (`A` numbers).
+    /// Moves a block of `count` keypoints (row, column in pixels) by one action each,
+    /// `actions[LANES, A]`. What it makes of the lanes after them is of no use.
     ///
     /// `field` comes from [`field`](Self::field), `scratch` from [`scratch`](Self::scratch).
-    /// `substeps * hidden * (hidden + A + 2 C + 6)` multiply-adds per candidate.
+    /// `substeps * hidden * (hidden + A + 2 C + 6)` multiply-adds per candidate, about half of
+    /// `hidden^2` of which are skipped.
+    ///
+    /// # Panics
+    /// If there are more keypoints than [`LANES`], or fewer actions than `LANES * A` numbers.
     pub fn advance(
         &self,
         field: &SceneField,
         keypoint: &mut [Lanes; 2],
-        action: &[Lanes],
+        count: usize,
+        actions: &[f32],
         scratch: &mut Scratch,
     ) {
-        let (actions, memory) = scratch.context.split_at_mut(self.action_dim);
-        actions.copy_from_slice(action);
-        memory.fill([0.0; LANES]);
-        for _ in 0..self.substeps {
-            substep(self, field, keypoint, scratch);
+        assert!(count <= LANES && actions.len() >= LANES * self.action_dim);
+        advance(self, field, keypoint, count, actions, scratch);
+    }
+}
+
+#[multiversion::multiversion(targets("x86_64+avx2+fma+bmi1+bmi2+lzcnt+popcnt"))]
+fn advance(
+    cell: &Cell,
+    field: &SceneField,
+    keypoint: &mut [Lanes; 2],
+    count: usize,
+    actions: &[f32],
+    scratch: &mut Scratch,
+) {
+    let Scratch { state, first, second } = scratch;
+    let groups = cell.output.groups();
+    state.fill([0.0; NARROW]);
+    for lane in 0..LANES {
+        state[lane * groups][..2].copy_from_slice(&[keypoint[0][lane], keypoint[1][lane]]);
+    }
+    for substep in 0..cell.substeps {
+        // A memory of zeros adds nothing.
+        let remembered = if substep == 0 { 0 } else { cell.memory };
+        let places = field.places(keypoint);
+        for lane in 0..count {
+            let action = &actions[lane * cell.action_dim..][..cell.action_dim];
+            let memory = &state[lane * groups..][..groups].as_flattened()[2..][..remembered];
+            for (panel, (from, width)) in panels(vectors(cell.hidden)).enumerate() {
+                let see = See { cell, field, place: places.of(lane), panel, from };
+                match width {
+                    1 => see.look::<1>(action, memory, lane, first),
+                    2 => see.look::<2>(action, memory, lane, first),
+                    3 => see.look::<3>(action, memory, lane, first),
+                    _ => see.look::<4>(action, memory, lane, first),
+                }
+            }
+        }
+        first.mark(count.next_multiple_of(2));
+        for pair in (0..count).step_by(2) {
+            cell.middle.apply_to_two(first, pair, second);
+        }
+        for eight in (0..count).step_by(NARROW) {
+            for group in 0..groups {
+                let mut moved = cell.output.group(group, second, eight);
+                for (lane, moved) in (eight..).zip(&mut moved) {
+                    let action = &actions[lane * cell.action_dim..][..cell.action_dim];
+                    for (input, free) in action.iter().zip(&cell.free) {
+                        for (moved, weight) in moved.iter_mut().zip(&free[group]) {
+                            *moved = weight.mul_add(*input, *moved);
+                        }
+                    }
+                    for (kept, moved) in state[lane * groups + group].iter_mut().zip(moved) {
+                        *kept += *moved;
+                    }
+                }
+            }
+        }
+        for lane in 0..count {
+            [keypoint[0][lane], keypoint[1][lane]] =
+                [state[lane * groups][0], state[lane * groups][1]];
         }
     }
 }
 
-#[multiversion::multiversion(targets("x86_64+avx2+fma"))]
-fn substep(cell: &Cell, field: &SceneField, keypoint: &mut [Lanes; 2], scratch: &mut Scratch) {
-    let Scratch { row, context, first, second, moved } = scratch;
-    for lane in 0..LANES {
-        field.sample([keypoint[0][lane], keypoint[1][lane]], row);
-        for (unit, &feature) in first.iter_mut().zip(row.iter()) {
-            unit[lane] = feature;
-        }
-    }
-    cell.context.accumulate(context, first);
-    rectify(first);
-    let second = cell.middle.apply(first, true, second);
-    let moved = cell.output.apply(second, false, moved);
+/// What one candidate looks at, with one panel of hidden units.
+struct See<'a> {
+    cell: &'a Cell,
+    field: &'a SceneField,
+    place: Place,
+    panel: usize,
+    /// First vector of the panel.
+    from: usize,
+}
 
-    let (actions, memory) = context.split_at_mut(cell.action_dim);
-    for (axis, position) in keypoint.iter_mut().enumerate() {
-        let mut motion = moved[axis];
-        let free = &cell.free[axis * cell.action_dim..][..cell.action_dim];
-        for (input, &weight) in actions.iter().zip(free) {
-            for lane in 0..LANES {
-                motion[lane] = weight.mul_add(input[lane], motion[lane]);
+impl See<'_> {
+    /// The first layer: `V` vectors of hidden units of the candidate in `lane`.
+    #[inline(always)]
+    fn look<const V: usize>(&self, action: &[f32], memory: &[f32], lane: usize, out: &mut Units) {
+        let mut sums: [Vector; V] = self.field.sample(&self.place, self.from);
+        let context = self.cell.context[self.panel].as_chunks::<V>().0;
+        let (of_action, of_memory) = context.split_at(action.len());
+        for (inputs, context) in [(action, of_action), (memory, of_memory)] {
+            for (&input, weights) in inputs.iter().zip(context) {
+                for (sum, weights) in sums.iter_mut().zip(weights) {
+                    sum.add(weights, input);
+                }
             }
         }
-        for lane in 0..LANES {
-            position[lane] += motion[lane];
-        }
-    }
-    for (kept, change) in memory.iter_mut().zip(&moved[2..]) {
-        for lane in 0..LANES {
-            kept[lane] += change[lane];
-        }
+        out.rectify(lane, self.from, &sums);
     }
 }

@@ -5,6 +5,7 @@ use std::sync::{Arc, OnceLock};
 use ndarray::{ArrayView2, ArrayView3, ArrayView4};
 
 use super::cell::Cell;
+use super::cost::GoalTerms;
 use super::field::SceneField;
 use crate::planner::Frames;
 use crate::{Error, Result};
@@ -17,6 +18,14 @@ use crate::{Error, Result};
 #[derive(Clone, Debug)]
 pub struct KeypointFrames {
     pool: Arc<Pool>,
+    index: Vec<usize>,
+    prepared: Option<Prepared>,
+}
+
+/// What goals contribute to costs from the starts that they were prepared with.
+#[derive(Clone, Debug)]
+struct Prepared {
+    terms: Arc<Vec<GoalTerms>>,
     index: Vec<usize>,
 }
 
@@ -92,7 +101,7 @@ impl KeypointFrames {
             })
             .collect();
         let pool = Pool { cell, size, images, keypoints, scenes };
-        Ok(Self { pool: Arc::new(pool), index: (0..count).collect() })
+        Ok(Self { pool: Arc::new(pool), index: (0..count).collect(), prepared: None })
     }
 
     /// Frames of the same scene in which the moving part is elsewhere: `images[N, S, S, 3]` and
@@ -114,7 +123,18 @@ impl KeypointFrames {
         let count = keypoints.len();
         let scenes = vec![Arc::clone(self.scene(0)); count];
         let pool = Pool { cell: Arc::clone(&self.pool.cell), size, images, keypoints, scenes };
-        Ok(Self { pool: Arc::new(pool), index: (0..count).collect() })
+        Ok(Self { pool: Arc::new(pool), index: (0..count).collect(), prepared: None })
+    }
+
+    /// The same frames, as goals with these terms, one for each.
+    pub(super) fn with_terms(&self, terms: Vec<GoalTerms>) -> Self {
+        let index = (0..terms.len()).collect();
+        Self { prepared: Some(Prepared { terms: Arc::new(terms), index }), ..self.clone() }
+    }
+
+    /// Terms of goal `i`, if they have been prepared.
+    pub(super) fn terms(&self, i: usize) -> Option<&GoalTerms> {
+        self.prepared.as_ref().map(|prepared| &prepared.terms[prepared.index[i]])
     }
 
     fn scene(&self, i: usize) -> &Arc<Scene> {
@@ -160,14 +180,17 @@ impl Frames for KeypointFrames {
     }
 
     fn select(&self, index: &[usize]) -> Result<Self> {
-        let picked = index
-            .iter()
-            .map(|&i| {
-                self.index.get(i).copied().ok_or_else(|| {
-                    Error::invalid("index", format!("{i} is beyond {} frames", self.len()))
-                })
-            })
-            .collect::<Result<_>>()?;
-        Ok(Self { pool: Arc::clone(&self.pool), index: picked })
+        if let Some(i) = index.iter().find(|&&i| i >= self.len()) {
+            return Err(Error::invalid("index", format!("{i} is beyond {} frames", self.len())));
+        }
+        let picked = |from: &[usize]| index.iter().map(|&i| from[i]).collect();
+        Ok(Self {
+            pool: Arc::clone(&self.pool),
+            index: picked(&self.index),
+            prepared: self.prepared.as_ref().map(|prepared| Prepared {
+                terms: Arc::clone(&prepared.terms),
+                index: picked(&prepared.index),
+            }),
+        })
     }
 }

@@ -4,6 +4,7 @@
 //! for the planner.
 
 pub mod cell;
+mod cost;
 pub mod field;
 pub mod frames;
 pub mod sprite;
@@ -13,3 +14,6 @@ pub use cell::{Cell, CellWeights};
 pub use frames::KeypointFrames;
 pub use sprite::Sprite;
 pub use world::KeypointWorld;
+
+#[cfg(test)]
+mod tests;

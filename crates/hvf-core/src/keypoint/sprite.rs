@@ -1,23 +1,9 @@
-//! The moving part of a frame: a soft box of one colour, and its squared distance to a goal image
-//! in closed form.
-//!
-//! A predicted frame is `base + colour * row(y) column(x)`, where `base` is the start frame with
-//! its own sprite taken away. With `r = base - goal`, the squared distance after a separable blur
-//! `B` with Gram matrix `G = B^T B` is
-//!
-//! ```text
-//! |B r|^2  +  2 row^T (G (colour . r) G) column  +  |colour|^2 (row^T G row) (column^T G column)
-//! ```
-//!
-//! The first term and the matrix in the second depend only on start and goal; a candidate costs
-//! a few hundred multiply-adds because the profiles are zero outside a few pixels.
-
-use ndarray::Array2;
+//! The moving part of a frame: a soft box of one colour.
 
 use crate::{Error, Result};
 
 /// Most pixels that a profile can cover.
-const MAX_WIDTH: usize = 40;
+pub(super) const MAX_WIDTH: usize = 40;
 
 /// Shape and colour of the moving part.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,31 +27,6 @@ impl Profile {
     fn values(&self) -> &[f32] {
         &self.coverage[..self.width]
     }
-
-    /// `values^T gram values`, or the squared norm without a blur.
-    fn norm(&self, gram: Option<&Array2<f32>>) -> f32 {
-        match gram {
-            None => self.values().iter().map(|a| a * a).sum(),
-            Some(gram) => {
-                let mut sum = 0.0;
-                for (i, a) in self.values().iter().enumerate() {
-                    for (j, b) in self.values().iter().enumerate() {
-                        sum += a * gram[[self.first + i, self.first + j]] * b;
-                    }
-                }
-                sum
-            }
-        }
-    }
-}
-
-/// What a start and a goal contribute to the cost of every candidate between them.
-#[derive(Clone, Debug)]
-pub struct GoalTerms {
-    /// Squared distance of the base frame to the goal, summed over pixels and channels.
-    distance: f32,
-    /// Gradient of the cost with respect to the sprite's coverage, halved, `[S, S]`.
-    projection: Array2<f32>,
 }
 
 impl Sprite {
@@ -121,53 +82,5 @@ impl Sprite {
                 }
             }
         }
-    }
-
-    /// Terms of a goal from the residual `base - goal`, `[S, S, 3]` in [0, 1] units, with the Gram
-    /// matrix of the blur (`[S, S]`) if there is one. With a blur, `6 S^3` multiply-adds.
-    pub fn goal_terms(
-        &self,
-        residual: &[f32],
-        size: usize,
-        gram: Option<&Array2<f32>>,
-    ) -> GoalTerms {
-        let mut distance = 0.0f64;
-        let mut projection = Array2::<f32>::zeros((size, size));
-        for channel in 0..3 {
-            let plane = Array2::from_shape_fn((size, size), |(y, x)| {
-                residual[(y * size + x) * 3 + channel]
-            });
-            let spread = match gram {
-                None => plane.clone(),
-                Some(gram) => gram.dot(&plane).dot(gram),
-            };
-            distance +=
-                plane.iter().zip(&spread).map(|(r, s)| f64::from(*r) * f64::from(*s)).sum::<f64>();
-            projection.scaled_add(self.colour[channel], &spread);
-        }
-        GoalTerms { distance: distance as f32, projection }
-    }
-
-    /// Squared distance to the goal, summed over pixels and channels, of the frame whose sprite
-    /// stands at `keypoint` (row, column in pixels).
-    pub fn squared_distance(
-        &self,
-        keypoint: [f32; 2],
-        terms: &GoalTerms,
-        gram: Option<&Array2<f32>>,
-    ) -> f32 {
-        let size = terms.projection.nrows();
-        let row = self.profile(0, keypoint[0], size);
-        let column = self.profile(1, keypoint[1], size);
-        let mut cross = 0.0;
-        for (i, a) in row.values().iter().enumerate() {
-            let line = terms.projection.row(row.first + i);
-            let line = line.as_slice().unwrap_or(&[]);
-            let dot: f32 =
-                line[column.first..].iter().zip(column.values()).map(|(g, b)| g * b).sum();
-            cross += a * dot;
-        }
-        let colour: f32 = self.colour.iter().map(|c| c * c).sum();
-        terms.distance + 2.0 * cross + colour * row.norm(gram) * column.norm(gram)
     }
 }

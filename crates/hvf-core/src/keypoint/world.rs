@@ -1,14 +1,16 @@
 //! The learned compact dynamics model as a [`WorldModel`].
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use ndarray::{Array2, Array4, ArrayView2, ArrayView3, ArrayView4, Axis};
 use rayon::prelude::*;
 
 use super::cell::{Cell, Scratch};
+use super::cost::{Footprint, GoalTerms, SpriteCost};
 use super::field::SceneField;
 use super::frames::KeypointFrames;
-use super::sprite::{GoalTerms, Sprite};
+use super::sprite::Sprite;
 use crate::image::{GaussianBlur, OverHorizon};
 use crate::lanes::{Lanes, LANES};
 use crate::planner::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel};
@@ -17,13 +19,17 @@ use crate::{Error, Result};
 /// Largest image, as the maze's.
 const LARGEST_IMAGE: usize = 2048;
 
+/// Goals of one plan that are prepared at most, about 20 KB each; more work out what they
+/// contribute in every iteration.
+const MOST_PREPARED: usize = 1 << 12;
+
 /// Learned dynamics whose planning cost is the pixel cost of the predicted frame.
 ///
 /// # How it works
 /// 1. The cell moves the keypoint of the start frame by each action in turn
 ///    (about `substeps * hidden^2` multiply-adds per step and candidate).
 /// 2. The predicted frame is the start frame with its sprite moved to the new keypoint.
-/// 3. Its squared distance to the goal image, per pixel, has a closed form ([`Sprite`]), so no
+/// 3. Its squared distance to the goal image, per pixel, has a closed form (`cost.rs`), so no
 ///    frame is decoded.
 ///
 /// Actions beyond the action box are taken as they are: the cell, which was trained within it,
@@ -31,10 +37,9 @@ const LARGEST_IMAGE: usize = 2048;
 #[derive(Clone, Debug)]
 pub struct KeypointWorld {
     cell: Arc<Cell>,
-    sprite: Sprite,
+    cost: SpriteCost,
     size: usize,
     actions: ActionSpace,
-    gram: Option<Array2<f32>>,
     over_horizon: OverHorizon,
 }
 
@@ -67,7 +72,8 @@ impl KeypointWorld {
             ));
         }
         let gram = GaussianBlur::new(blur_sigma, "blur")?.map(|blur| blur.gram_matrix(size));
-        Ok(Self { cell: Arc::new(cell), sprite, size, actions, gram, over_horizon })
+        let cost = SpriteCost::new(sprite, size, gram);
+        Ok(Self { cell: Arc::new(cell), cost, size, actions, over_horizon })
     }
 
     /// Frames of this world from `images[N, S, S, 3]`, `keypoints[N, 2]` (row, column in pixels)
@@ -93,62 +99,63 @@ impl KeypointWorld {
         }
     }
 
-    fn terms(
+    /// What start `s` and goal `g` contribute to costs, if need be worked out now.
+    fn terms<'f>(
         &self,
         starts: &KeypointFrames,
         s: usize,
-        goals: &KeypointFrames,
+        goals: &'f KeypointFrames,
         g: usize,
-    ) -> GoalTerms {
-        let mut residual: Vec<f32> = starts
-            .image(s)
-            .iter()
-            .zip(goals.image(g))
-            .map(|(&a, &b)| (f32::from(a) - f32::from(b)) / 255.0)
-            .collect();
-        self.sprite.draw(starts.keypoint(s), -1.0, &mut residual, self.size);
-        self.sprite.goal_terms(&residual, self.size, self.gram.as_ref())
+    ) -> Cow<'f, GoalTerms> {
+        match goals.terms(g) {
+            Some(terms) => Cow::Borrowed(terms),
+            None => Cow::Owned(self.cost.goal_terms(
+                starts.image(s),
+                starts.keypoint(s),
+                goals.image(g),
+            )),
+        }
     }
 
-    /// Rolls out the candidates `first..first + LANES` of `actions[D, H, A]` and hands the block
+    /// Rolls out the candidates `first..first + count` of `actions[D, H, A]` and hands the block
     /// of keypoints after every step to `visit(step, keypoints)`.
     fn roll(
         &self,
         keypoint: [f32; 2],
         field: &SceneField,
         actions: ArrayView3<'_, f32>,
-        first: usize,
-        scratch: &mut Room,
+        (first, count): (usize, usize),
+        (action, scratch): (&mut [f32], &mut Scratch),
         mut visit: impl FnMut(usize, &[Lanes; 2]),
     ) {
-        let last = actions.len_of(Axis(0)) - 1;
         let mut block = keypoint.map(|x| [x; LANES]);
         for step in 0..actions.len_of(Axis(1)) {
-            for (dimension, lanes) in scratch.action.iter_mut().enumerate() {
-                for (lane, value) in lanes.iter_mut().enumerate() {
-                    *value = actions[[(first + lane).min(last), step, dimension]];
+            for (lane, action) in action.chunks_exact_mut(self.actions.dim()).enumerate() {
+                if lane < count {
+                    for (dimension, value) in action.iter_mut().enumerate() {
+                        *value = actions[[first + lane, step, dimension]];
+                    }
                 }
             }
-            self.cell.advance(field, &mut block, &scratch.action, &mut scratch.cell);
+            self.cell.advance(field, &mut block, count, action, scratch);
             visit(step, &block);
         }
     }
 
     fn scratch(&self) -> Room {
-        Room { action: vec![[0.0; LANES]; self.actions.dim()], cell: self.cell.scratch() }
+        Room {
+            action: vec![0.0; LANES * self.actions.dim()],
+            cell: self.cell.scratch(),
+            footprint: self.cost.room(),
+            under: self.cost.under(),
+        }
     }
 
-    /// Cost of one candidate's keypoint, per pixel; NaN where that is no place.
-    fn cost(&self, block: &[Lanes; 2], lane: usize, terms: &GoalTerms) -> f32 {
-        let keypoint = [block[0][lane], block[1][lane]];
-        // A sprite that is nowhere must not cost what a frame without it does.
-        if !(keypoint[0].is_finite() && keypoint[1].is_finite()) {
-            return f32::NAN;
+    /// The tallies with one more frame that counts and costs `costs`.
+    fn add(&self, tally: &mut Lanes, costs: &Lanes) {
+        for (tally, cost) in tally.iter_mut().zip(costs) {
+            *tally = self.over_horizon.add(*tally, *cost);
         }
-        let sum = self.sprite.squared_distance(keypoint, terms, self.gram.as_ref());
-        // Below zero by rounding only; NaN stays NaN.
-        let sum = if sum < 0.0 { 0.0 } else { sum };
-        sum / (self.size * self.size) as f32
     }
 
     /// Keypoints `[B, D, H, 2]` (row, column in pixels) that the cell predicts from each of `B`
@@ -170,9 +177,10 @@ impl KeypointWorld {
             let mine = actions.index_axis(Axis(0), b);
             path.axis_chunks_iter_mut(Axis(0), LANES).into_par_iter().enumerate().for_each_init(
                 || self.scratch(),
-                |scratch, (block, mut out)| {
-                    let first = block * LANES;
-                    self.roll(starts.keypoint(b), field, mine, first, scratch, |step, at| {
+                |Room { action, cell, .. }, (block, mut out)| {
+                    let those = (block * LANES, out.len_of(Axis(0)));
+                    let room = (&mut action[..], cell);
+                    self.roll(starts.keypoint(b), field, mine, those, room, |step, at| {
                         for lane in 0..out.len_of(Axis(0)) {
                             out[[lane, step, 0]] = at[0][lane];
                             out[[lane, step, 1]] = at[1][lane];
@@ -187,8 +195,11 @@ impl KeypointWorld {
 
 /// Room for one block: its actions, and the cell's.
 struct Room {
-    action: Vec<Lanes>,
+    /// `[LANES][A]`.
+    action: Vec<f32>,
     cell: Scratch,
+    footprint: Footprint,
+    under: Vec<Lanes>,
 }
 
 fn check_actions(problems: usize, expected: usize, dim: usize, expected_dim: usize) -> Result<()> {
@@ -214,6 +225,25 @@ impl WorldModel for KeypointWorld {
         &self.actions
     }
 
+    /// Goals with what they and their starts contribute to the costs of all candidates.
+    fn prepare(
+        &self,
+        starts: &KeypointFrames,
+        goals: &KeypointFrames,
+    ) -> Result<Option<(KeypointFrames, KeypointFrames)>> {
+        self.check("starts", starts)?;
+        self.check("goals", goals)?;
+        if goals.len() > MOST_PREPARED {
+            return Ok(None);
+        }
+        let start = |g: usize| if starts.len() == 1 { 0 } else { g };
+        let terms: Vec<GoalTerms> = (0..goals.len())
+            .into_par_iter()
+            .map(|g| self.terms(starts, start(g), goals, g).into_owned())
+            .collect();
+        Ok(Some((starts.clone(), goals.with_terms(terms))))
+    }
+
     fn rollout_costs(
         &self,
         starts: &KeypointFrames,
@@ -234,13 +264,14 @@ impl WorldModel for KeypointWorld {
             row.axis_chunks_iter_mut(Axis(0), LANES).into_par_iter().enumerate().for_each_init(
                 || self.scratch(),
                 |scratch, (block, mut out)| {
-                    let mut tally = vec![self.over_horizon.start(); out.len()];
-                    let first = block * LANES;
-                    self.roll(starts.keypoint(b), field, mine, first, scratch, |step, at| {
+                    let mut tally = [self.over_horizon.start(); LANES];
+                    let those = (block * LANES, out.len());
+                    let Room { action, cell, footprint, under } = scratch;
+                    let room = (&mut action[..], cell);
+                    self.roll(starts.keypoint(b), field, mine, those, room, |step, at| {
                         if self.over_horizon.counts(step, steps) {
-                            for (lane, cost) in tally.iter_mut().enumerate() {
-                                *cost = self.over_horizon.add(*cost, self.cost(at, lane, &terms));
-                            }
+                            self.cost.footprint(at, footprint, under);
+                            self.add(&mut tally, &self.cost.costs(&terms, footprint, under));
                         }
                     });
                     for (cost, sum) in out.iter_mut().zip(tally) {
@@ -270,20 +301,55 @@ impl KeypointWorld {
         actions: ArrayView3<'_, f32>,
     ) -> Result<Array2<f32>> {
         self.check("goals", goals)?;
-        let path = self.rollout(start, actions.insert_axis(Axis(0)))?.index_axis_move(Axis(0), 0);
-        let (candidates, steps, _) = path.dim();
-        let mut costs = Array2::zeros((goals.len(), candidates));
-        costs.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(g, mut row)| {
-            let terms = self.terms(start, 0, goals, g);
-            for (d, cost) in row.iter_mut().enumerate() {
-                let mut sum = self.over_horizon.start();
-                for step in (0..steps).filter(|&step| self.over_horizon.counts(step, steps)) {
-                    let at = [[path[[d, step, 0]]; LANES], [path[[d, step, 1]]; LANES]];
-                    sum = self.over_horizon.add(sum, self.cost(&at, 0, &terms));
+        let footprints = self.footprints(start, actions)?;
+        let mut costs = Array2::zeros((goals.len(), actions.len_of(Axis(0))));
+        costs.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each_init(
+            || self.cost.under(),
+            |under, (g, mut row)| {
+                let terms = self.terms(start, 0, goals, g);
+                for (mut out, footprints) in
+                    row.axis_chunks_iter_mut(Axis(0), LANES).zip(&footprints)
+                {
+                    let mut tally = [self.over_horizon.start(); LANES];
+                    for footprint in footprints {
+                        self.add(&mut tally, &self.cost.costs(&terms, footprint, under));
+                    }
+                    for (cost, sum) in out.iter_mut().zip(tally) {
+                        *cost = sum;
+                    }
                 }
-                *cost = sum;
-            }
-        });
+            },
+        );
         Ok(costs)
+    }
+
+    /// Where the sprites are in all frames that count: for every block of candidates, one
+    /// footprint a frame.
+    fn footprints(
+        &self,
+        start: &KeypointFrames,
+        actions: ArrayView3<'_, f32>,
+    ) -> Result<Vec<Vec<Footprint>>> {
+        self.check("start", start)?;
+        let (candidates, steps, dim) = actions.dim();
+        check_actions(1, start.len(), dim, self.actions.dim())?;
+        let field = start.field(0);
+        let blocks = (0..candidates.div_ceil(LANES)).into_par_iter().map_init(
+            || self.scratch(),
+            |Room { action, cell, under, .. }, block| {
+                let those = (block * LANES, LANES.min(candidates - block * LANES));
+                let mut footprints = Vec::new();
+                let room = (&mut action[..], cell);
+                self.roll(start.keypoint(0), field, actions, those, room, |step, at| {
+                    if self.over_horizon.counts(step, steps) {
+                        let mut footprint = self.cost.room();
+                        self.cost.footprint(at, &mut footprint, under);
+                        footprints.push(footprint);
+                    }
+                });
+                footprints
+            },
+        );
+        Ok(blocks.collect())
     }
 }

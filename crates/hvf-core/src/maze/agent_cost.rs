@@ -16,14 +16,12 @@
 
 use std::ops::Range;
 
-use multiversion::multiversion;
-
+use super::agent_kernels::{
+    add_scaled, blend_planes, floor_planes, inner_floats, inner_integers, weighted_products, LANES,
+};
 use super::geometry::{State, AGENT_HALF};
 use super::render::{blend, Covered, Renderer, AGENT, FLOOR, VIEW};
 use crate::image::{squared_distance_u8, squared_norm_f32, GaussianBlur};
-
-/// Rows of patches are filled up to whole vectors of this many values.
-const LANES: usize = 8;
 
 /// Scores agents against goals, for one size of image and blur.
 #[derive(Clone, Debug)]
@@ -45,6 +43,9 @@ struct Blurred {
     stride: usize,
     /// Rows and columns further apart than this do not meet in `gram`.
     band: usize,
+    /// `gram` between the three kinds of rows of an agent on open floor, summed over its rows:
+    /// `[first row][number of rows]`.
+    floor: Vec<[f32; 9]>,
 }
 
 /// What is common to all candidates with one start scene and one goal.
@@ -65,12 +66,15 @@ pub(super) struct Patch {
     left: usize,
     /// Kind of each row.
     kinds: Vec<usize>,
-    /// Change of colour, `[kinds]` rows of `3 * reach` values filled up with zeros.
+    /// Without blur: change of colour, `[kinds]` rows of `3 * reach` values filled up with zeros.
     change: Vec<i16>,
-    /// The same as `[kinds, 3]` rows of `reach` values, for blurred costs.
+    /// With blur: the same as `[kinds, 3]` rows of `reach` values.
     planes: Vec<f32>,
     /// `|p|^2`, or `p.(G'G p)`.
     own: f64,
+    /// Room for the parts of a row's pixels that agent and walls cover.
+    parts: Vec<f64>,
+    walls: Vec<f64>,
 }
 
 impl AgentCost {
@@ -87,7 +91,20 @@ impl AgentCost {
                     *entry = *value;
                 }
             }
-            Blurred { band: 2 * blur.radius(), blur, gram, stride }
+            let floor = (0..size)
+                .flat_map(|top| (0..=reach).map(move |rows| (top, rows.min(size - top))))
+                .map(|(top, rows)| {
+                    let mut weights = [0.0_f32; 9];
+                    for row in 0..rows {
+                        for other in 0..rows {
+                            let pair = 3 * floor_kind(row, rows) + floor_kind(other, rows);
+                            weights[pair] += gram[(top + row) * stride + top + other];
+                        }
+                    }
+                    weights
+                })
+                .collect();
+            Blurred { band: 2 * blur.radius(), blur, gram, stride, floor }
         });
         Self { size, reach, open: renderer.open_lines(), blur }
     }
@@ -107,32 +124,55 @@ impl AgentCost {
         let agent = renderer.agent_box(state.position);
         let [open_rows, open_columns] = &self.open;
         let all = |open: &[bool], pixels: &Range<usize>| open[pixels.clone()].iter().all(|&o| o);
-        if all(open_rows, &agent.rows) && all(open_columns, &agent.columns) {
-            self.patch_on_floor(&agent, patch);
-        } else {
-            self.patch_anywhere(renderer, scene, state, patch);
-        }
-        patch.own = match &self.blur {
-            None => {
-                let stride = self.change_stride();
-                let squares = |kind: usize| {
-                    let row = &patch.change[kind * stride..][..stride];
-                    row.iter().map(|&c| i64::from(c) * i64::from(c)).sum::<i64>()
-                };
-                patch.kinds.iter().map(|&kind| squares(kind)).sum::<i64>() as f64
+        let on_floor = all(open_rows, &agent.rows) && all(open_columns, &agent.columns);
+        let Some(blurred) = &self.blur else {
+            if on_floor {
+                self.patch_on_floor(&agent, patch);
+            } else {
+                self.patch_anywhere(renderer, scene, state, patch);
             }
-            Some(blurred) => {
-                self.split_channels(patch);
-                f64::from(blurred.quadratic(patch, self.plane_stride()))
-            }
+            let stride = self.change_stride();
+            let squares = |kind: usize| {
+                let row = &patch.change[kind * stride..][..stride];
+                row.iter().map(|&c| i64::from(c) * i64::from(c)).sum::<i64>()
+            };
+            patch.own = patch.kinds.iter().map(|&kind| squares(kind)).sum::<i64>() as f64;
+            return;
         };
+        let stride = self.plane_stride();
+        let (columns, weights) = if on_floor {
+            self.place_on_floor(&agent, patch);
+            let parts = |ends: [f64; 2]| [ends[0], 1.0, ends[1]];
+            let (rows, columns) = (agent.rows.len(), agent.columns.len());
+            patch.planes.resize(3 * 3 * stride, 0.0);
+            let (row_parts, column_parts) = (parts(agent.row_ends), parts(agent.column_ends));
+            floor_planes(row_parts, column_parts, columns, stride, &mut patch.planes);
+            let weights = &blurred.floor[patch.top * (self.reach + 1) + rows];
+            (columns, (&weights[..], 3))
+        } else {
+            self.planes_anywhere(renderer, scene, (state, &agent), patch);
+            // Every row is a kind of its own.
+            let rows = &blurred.gram[patch.top * (blurred.stride + 1)..];
+            (agent.columns.len(), (rows, blurred.stride))
+        };
+        let gram = &blurred.gram[patch.left * (blurred.stride + 1)..];
+        let gram = (gram, blurred.stride);
+        patch.own = f64::from(weighted_products(&patch.planes, (stride, columns), weights, gram));
+    }
+
+    /// First pixel and kinds of rows away from walls.
+    fn place_on_floor(&self, agent: &Covered, patch: &mut Patch) {
+        (patch.top, patch.left) = (agent.rows.start, agent.columns.start);
+        let rows = agent.rows.len();
+        patch.kinds.clear();
+        patch.kinds.extend((0..rows).map(|row| floor_kind(row, rows)));
     }
 
     /// Away from walls colours depend on the covered part of a pixel only.
     fn patch_on_floor(&self, agent: &Covered, patch: &mut Patch) {
-        (patch.top, patch.left) = (agent.rows.start, agent.columns.start);
+        self.place_on_floor(agent, patch);
         let stride = self.change_stride();
-        let (rows, columns) = (agent.rows.len(), agent.columns.len());
+        let columns = agent.columns.len();
         patch.change.clear();
         patch.change.resize(3 * stride, 0);
         let parts = [agent.row_ends[0], 1.0, agent.row_ends[1]];
@@ -150,16 +190,9 @@ impl AgentCost {
                 *first = change(part * agent.column_ends[0]);
             }
         }
-        patch.kinds.clear();
-        patch.kinds.resize(rows, 1);
-        if let Some(last) = patch.kinds.last_mut() {
-            *last = 2;
-        }
-        if let Some(first) = patch.kinds.first_mut() {
-            *first = 0;
-        }
     }
 
+    /// [`Patch::change`] beside walls.
     fn patch_anywhere(&self, renderer: &Renderer, scene: &[u8], state: &State, patch: &mut Patch) {
         let (stride, size) = (self.change_stride(), self.size);
         patch.change.clear();
@@ -184,19 +217,30 @@ impl AgentCost {
         });
     }
 
-    /// Fills [`Patch::planes`] from [`Patch::change`].
-    fn split_channels(&self, patch: &mut Patch) {
-        let (stride, plane_stride) = (self.change_stride(), self.plane_stride());
-        patch.planes.clear();
-        patch.planes.resize(patch.change.len() / stride * 3 * plane_stride, 0.0);
-        let rows = patch.planes.chunks_exact_mut(3 * plane_stride);
-        for (planes, change) in rows.zip(patch.change.chunks_exact(stride)) {
-            let (pixels, _) = change.as_chunks::<3>();
-            for (column, pixel) in pixels.iter().take(self.reach).enumerate() {
-                for channel in 0..3 {
-                    planes[channel * plane_stride + column] = f32::from(pixel[channel]);
-                }
+    /// [`Patch::planes`] beside walls.
+    fn planes_anywhere(
+        &self,
+        renderer: &Renderer,
+        scene: &[u8],
+        (state, agent): (&State, &Covered),
+        patch: &mut Patch,
+    ) {
+        let (stride, columns) = (self.plane_stride(), agent.columns.len());
+        (patch.top, patch.left) = (agent.rows.start, agent.columns.start);
+        patch.kinds.clear();
+        patch.kinds.extend(0..agent.rows.len());
+        patch.planes.resize(agent.rows.len() * 3 * stride, 0.0);
+        patch.parts.clear();
+        patch.parts.resize(stride, 0.0);
+        patch.walls.resize(stride, 0.0);
+        for (row, planes) in agent.rows.clone().zip(patch.planes.chunks_exact_mut(3 * stride)) {
+            let in_row = Covered::part(row, &agent.rows, agent.row_ends);
+            for (part, column) in patch.parts.iter_mut().zip(agent.columns.clone()) {
+                *part = in_row * Covered::part(column, &agent.columns, agent.column_ends);
             }
+            renderer.walls_in_row(&state.scene, row, &agent.columns, &mut patch.walls);
+            let under = &scene[3 * (row * self.size + agent.columns.start)..][..3 * columns];
+            blend_planes(&patch.parts, &patch.walls, under, planes);
         }
     }
 
@@ -245,28 +289,6 @@ impl AgentCost {
 }
 
 impl Blurred {
-    /// `p.(G'G p)`: over pairs of kinds of rows, the Gram matrix of the rows that are of these
-    /// kinds, times the inner product of the kinds under the Gram matrix of the columns.
-    fn quadratic(&self, patch: &Patch, plane_stride: usize) -> f32 {
-        let kinds = patch.planes.len() / (3 * plane_stride);
-        let mut weights = [0.0_f32; 16];
-        let mut many = Vec::new();
-        let weights = if kinds * kinds <= weights.len() {
-            &mut weights[..kinds * kinds]
-        } else {
-            many.resize(kinds * kinds, 0.0);
-            &mut many[..]
-        };
-        for (row, &kind) in patch.kinds.iter().enumerate() {
-            let gram = &self.gram[(patch.top + row) * self.stride + patch.top..];
-            for (weight, &other) in gram.iter().zip(&patch.kinds) {
-                weights[kind * kinds + other] += weight;
-            }
-        }
-        let columns = &self.gram[patch.left * self.stride + patch.left..];
-        weighted_products(&patch.planes, plane_stride, weights, columns, self.stride)
-    }
-
     /// Terms for any goal: two blurs of the difference (the blur's matrix is symmetric).
     fn terms(&self, scene: &[u8], goal: &[u8], size: usize) -> GoalTerms {
         let mut scratch = self.blur.scratch(size, size, 1);
@@ -328,6 +350,17 @@ impl Blurred {
     }
 }
 
+/// Kind of a row of an agent on open floor: the first (0), those between (1) and the last (2).
+fn floor_kind(row: usize, rows: usize) -> usize {
+    if row == 0 {
+        0
+    } else if row + 1 == rows {
+        2
+    } else {
+        1
+    }
+}
+
 /// The smallest box of rows and columns outside of which two images `[size, size, 3]` agree.
 fn differing_box(a: &[u8], b: &[u8], size: usize) -> (Range<usize>, Range<usize>) {
     let row = |y: usize| 3 * y * size..3 * (y + 1) * size;
@@ -347,98 +380,4 @@ fn differing_box(a: &[u8], b: &[u8], size: usize) -> (Range<usize>, Range<usize>
         }
     }
     (first..last + 1, left..right)
-}
-
-/// Inner product of a patch, whose rows of `stride` values are of these `kinds`, with `other` read
-/// every `other_stride` values.
-#[multiversion(targets("x86_64+avx2"))]
-fn inner_integers(
-    kinds: &[usize],
-    change: &[i16],
-    stride: usize,
-    other: &[i16],
-    other_stride: usize,
-) -> i64 {
-    let mut sum = 0;
-    for (row, kind) in kinds.iter().enumerate() {
-        let (patch, _) = change[kind * stride..][..stride].as_chunks::<LANES>();
-        let (other, _) = other[row * other_stride..][..stride].as_chunks::<LANES>();
-        let mut lanes = [0_i32; LANES];
-        for (p, o) in patch.iter().zip(other) {
-            for lane in 0..LANES {
-                lanes[lane] += i32::from(p[lane]) * i32::from(o[lane]);
-            }
-        }
-        sum += i64::from(lanes.iter().sum::<i32>());
-    }
-    sum
-}
-
-/// [`inner_integers`] of the three planes; the order of additions is fixed.
-#[multiversion(targets("x86_64+avx2"))]
-fn inner_floats(
-    kinds: &[usize],
-    planes: &[f32],
-    stride: usize,
-    other: [&[f32]; 3],
-    other_stride: usize,
-) -> f32 {
-    let mut lanes = [0.0_f32; LANES];
-    for (row, kind) in kinds.iter().enumerate() {
-        let patch = &planes[kind * 3 * stride..][..3 * stride];
-        for (patch, other) in patch.chunks_exact(stride).zip(other) {
-            let (patch, _) = patch.as_chunks::<LANES>();
-            let (other, _) = other[row * other_stride..][..stride].as_chunks::<LANES>();
-            for (p, o) in patch.iter().zip(other) {
-                for lane in 0..LANES {
-                    lanes[lane] += p[lane] * o[lane];
-                }
-            }
-        }
-    }
-    lanes.iter().sum()
-}
-
-/// Sum over pairs `(i, j)` of rows of `planes`, three channels of `stride` values each, of
-/// `weights[i, j]` times their inner product under `gram`.
-#[multiversion(targets("x86_64+avx2"))]
-fn weighted_products(
-    planes: &[f32],
-    stride: usize,
-    weights: &[f32],
-    gram: &[f32],
-    gram_stride: usize,
-) -> f32 {
-    let kinds = planes.len() / (3 * stride);
-    let columns = stride.min(gram.len().div_ceil(gram_stride));
-    let mut lanes = [0.0_f32; LANES];
-    for (kind, row) in planes.chunks_exact(3 * stride).enumerate() {
-        for channel in 0..3 {
-            let values = &row[channel * stride..][..columns];
-            for block in (0..stride).step_by(LANES) {
-                let mut across = [0.0_f32; LANES];
-                for (column, value) in values.iter().enumerate() {
-                    let gram = &gram[column * gram_stride + block..][..LANES];
-                    for lane in 0..LANES {
-                        across[lane] += value * gram[lane];
-                    }
-                }
-                for other in 0..kinds {
-                    let weight = weights[kind * kinds + other];
-                    let values = &planes[(other * 3 + channel) * stride + block..][..LANES];
-                    for lane in 0..LANES {
-                        lanes[lane] += weight * values[lane] * across[lane];
-                    }
-                }
-            }
-        }
-    }
-    lanes.iter().sum()
-}
-
-#[multiversion(targets("x86_64+avx2"))]
-fn add_scaled(sum: &mut [f32], factor: f32, values: &[f32]) {
-    for (sum, &value) in sum.iter_mut().zip(values) {
-        *sum += factor * value;
-    }
 }

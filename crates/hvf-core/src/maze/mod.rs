@@ -1,6 +1,7 @@
 //! The 2D maze: geometry, physics, renderer and episodes.
 
 mod agent_cost;
+mod agent_kernels;
 pub mod batch;
 pub mod episodes;
 pub mod frames;

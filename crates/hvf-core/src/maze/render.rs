@@ -195,6 +195,31 @@ impl Renderer {
         walls
     }
 
+    /// The parts that walls cover of the pixels of `row` in `columns`, into the first numbers of
+    /// `out`.
+    pub(super) fn walls_in_row(
+        &self,
+        scene: &Scene,
+        row: usize,
+        columns: &Range<usize>,
+        out: &mut [f64],
+    ) {
+        let closed = &self.closed_walls[row * self.size..][columns.clone()];
+        out[..closed.len()].copy_from_slice(closed);
+        let axis = Axis { size: self.size };
+        for (covered, y) in self.wall_columns.iter().zip(scene.gap_y) {
+            let covered = &covered[columns.clone()];
+            if covered.iter().any(|&part| part > 0.0) {
+                let open = axis.covered(row, -y - GAP_HALF, -y + GAP_HALF);
+                for ((walls, &closed), &part) in out.iter_mut().zip(closed).zip(covered) {
+                    if closed != 0.0 && part > 0.0 {
+                        *walls -= part * open;
+                    }
+                }
+            }
+        }
+    }
+
     /// The state that a frame `[size, size, 3]` shows: where the agent and the gaps are.
     ///
     /// On rendered frames of 64 pixels it is right to about 0.1 mm (colours are rounded), on smaller

@@ -217,7 +217,10 @@ fn bad_input_names_the_argument() {
     assert!(said(world.rollout_costs(&frames, &frames, wide.into())).starts_with("actions"));
     let mut nan = actions((2, 3, 1), 0);
     nan[[1, 2, 0, 1]] = f32::NAN;
-    assert!(said(world.rollout_costs(&frames, &frames, nan.into())).starts_with("actions"));
+    let costs = world.rollout_costs(&frames, &frames, nan.clone().into()).unwrap();
+    let is_nan = |(b, d): (usize, usize)| (b, d) == (1, 2);
+    assert_eq!(costs.mapv(f32::is_nan), Array2::from_shape_fn((2, 3), is_nan));
+    assert!(world.rollout(frames.state(1), nan.index_axis(Axis(0), 1)).is_err());
     let small =
         MazeFrames::from_images(&Renderer::new(32).unwrap(), &[0; 2 * 32 * 32 * 3]).unwrap();
     assert!(said(world.rollout_costs(&frames, &small, actions((2, 3, 1), 0).into()))

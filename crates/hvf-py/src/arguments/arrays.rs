@@ -9,13 +9,14 @@ use numpy::{
 use pyo3::exceptions::{PyException, PyMemoryError, PyOverflowError, PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList, PyTuple};
+use pyo3::types::{PyBytes, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
 
 use super::{describe, is_no_such_thing, unfit, wrong_type};
 
-/// Most items of a sequence that is no array, list or tuple: NumPy asks such objects for one item
-/// after the other.
-const MOST_ITEMS: usize = 1 << 24;
+/// Most items of sequences that are no arrays.
+const MOST_ITEMS: usize = 1 << 26;
+/// Most axes of sequences in sequences.
+const MOST_AXES: usize = 16;
 
 /// NumPy's memory as it is. `expected` names dtype and axes, as in `uint8 [N, H, W, 3]`.
 ///
@@ -62,15 +63,19 @@ pub fn booleans<D: Dimension>(
     object: &Bound<'_, PyAny>,
     expected: &str,
 ) -> PyResult<Array<bool, D>> {
-    if axes_of::<bool>(object).is_none() {
-        return Err(wrong_type(argument, expected, object));
+    match axes_of::<bool>(object) {
+        None => return Err(wrong_type(argument, expected, object)),
+        Some(axes) if D::NDIM != Some(axes) => {
+            return Err(PyValueError::new_err(unfit(argument, expected, object)))
+        }
+        Some(_) => {}
     }
+    let found = object.cast::<PyUntypedArray>()?;
+    fits::<bool>(argument, found.len(), object)?;
     let py = object.py();
     let ndarray = py.import(intern!(py, "numpy"))?.getattr(intern!(py, "ndarray"))?;
     let view = ndarray.call_method1(intern!(py, "view"), (object, intern!(py, "uint8")))?;
-    let bytes = array::<u8, D>(argument, &view, expected)
-        .map_err(|_| PyValueError::new_err(unfit(argument, expected, object)))?;
-    fits::<bool>(argument, bytes.len(), object)?;
+    let bytes = array::<u8, D>(argument, &view, expected)?;
     Ok(bytes.as_array().mapv(|byte| byte != 0))
 }
 
@@ -92,16 +97,29 @@ pub fn numbers<T: Element + Copy, D: Dimension>(
     }
     // Only a broadcast array is larger than memory: refuse it before it is written out.
     fits::<T>(argument, found.len(), found)?;
-    let options = PyDict::new(py);
-    options.set_item(intern!(py, "dtype"), T::get_dtype(py))?;
-    options.set_item(intern!(py, "requirements"), ("C", "A"))?;
-    let plain = py.import(intern!(py, "numpy"))?.call_method(
-        intern!(py, "require"),
-        (found,),
-        Some(&options),
-    )?;
+    let plain = converted(found, T::get_dtype(py).as_any())?;
     let plain = array::<T, D>(argument, &plain, expected)?;
     copied(argument, plain.as_array(), object)
+}
+
+/// An array in NumPy's plain order and of a dtype. What is beyond the range of the dtype becomes
+/// infinite, without the warning that programs may have made an exception.
+fn converted<'py>(
+    array: &Bound<'py, PyUntypedArray>,
+    dtype: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = array.py();
+    let numpy = py.import(intern!(py, "numpy"))?;
+    let options = PyDict::new(py);
+    options.set_item(intern!(py, "dtype"), dtype)?;
+    options.set_item(intern!(py, "requirements"), ("C", "A"))?;
+    let quiet = PyDict::new(py);
+    quiet.set_item(intern!(py, "all"), intern!(py, "ignore"))?;
+    let quiet = numpy.call_method(intern!(py, "errstate"), (), Some(&quiet))?;
+    quiet.call_method0(intern!(py, "__enter__"))?;
+    let plain = numpy.call_method(intern!(py, "require"), (array,), Some(&options));
+    quiet.call_method1(intern!(py, "__exit__"), (py.None(), py.None(), py.None()))?;
+    plain
 }
 
 /// `N` numbers.
@@ -122,9 +140,13 @@ pub fn numpy_array<'py>(
         return Ok(object.clone());
     }
     let py = object.py();
-    let items = listed(argument, object)?;
+    let items =
+        as_lists(argument, object).map_err(|exception| match is_no_such_thing(py, &exception) {
+            true => wrong_type(argument, expected, object),
+            false => exception,
+        })?;
     let numpy = py.import(intern!(py, "numpy"))?;
-    let made = numpy.call_method1(intern!(py, "asarray"), (items.as_ref().unwrap_or(object),));
+    let made = numpy.call_method1(intern!(py, "asarray"), (items,));
     made.map_err(|exception| {
         let complaint = if is_no_such_thing(py, &exception) {
             wrong_type(argument, expected, object)
@@ -140,40 +162,64 @@ pub fn numpy_array<'py>(
     })
 }
 
-/// The items of a sequence of a class of its own as a list, as many as it says it has.
-fn listed<'py>(argument: &str, object: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>> {
-    let py = object.py();
-    if object.is_instance_of::<PyList>() || object.is_instance_of::<PyTuple>() {
-        return Ok(None);
-    }
-    for method in ["__array__", "__array_interface__", "__array_struct__", "__buffer__"] {
-        if object.hasattr(method)? {
-            return Ok(None);
+/// `object`, with every sequence in it that is no array as a list, of as many items as it says it
+/// has: `numpy.asarray` would ask some for ever.
+pub fn as_lists<'py>(argument: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    Lists { argument, left: MOST_ITEMS }.of(object, 0)
+}
+
+struct Lists<'a> {
+    argument: &'a str,
+    /// Items that all of them together may still have.
+    left: usize,
+}
+
+impl Lists<'_> {
+    /// `object`, with what is a sequence in it, at whatever depth, as a list.
+    fn of<'py>(&mut self, object: &Bound<'py, PyAny>, depth: usize) -> PyResult<Bound<'py, PyAny>> {
+        let py = object.py();
+        if object.is_exact_instance_of::<PyFloat>()
+            || object.is_exact_instance_of::<PyInt>()
+            || object.is_instance_of::<PyString>()
+            || object.is_instance_of::<PyBytes>()
+            || object.is_instance_of::<PyUntypedArray>()
+        {
+            return Ok(object.clone());
         }
+        if !(object.is_instance_of::<PyList>() || object.is_instance_of::<PyTuple>()) {
+            for array in ["__array__", "__array_interface__", "__array_struct__", "__dlpack__"] {
+                if object.hasattr(array)? {
+                    return Ok(object.clone());
+                }
+            }
+            if !(object.hasattr(intern!(py, "__len__"))?
+                && object.hasattr(intern!(py, "__getitem__"))?)
+            {
+                return Ok(object.clone());
+            }
+        }
+        let count = match object.len() {
+            Ok(count) => count,
+            Err(exception) if exception.is_instance_of::<PyOverflowError>(py) => usize::MAX,
+            Err(exception) => return Err(exception),
+        };
+        let argument = self.argument;
+        if depth == MOST_AXES {
+            let problem = format!("{argument}: must have at most {MOST_AXES} axes");
+            return Err(PyValueError::new_err(problem));
+        }
+        let Some(left) = self.left.checked_sub(count) else {
+            let found = describe(object);
+            let problem = format!("{argument}: {found} of {count} items is too long");
+            return Err(PyValueError::new_err(problem));
+        };
+        self.left = left;
+        let items = PyList::empty(py);
+        for item in object.try_iter()?.take(count) {
+            items.append(self.of(&item?, depth + 1)?)?;
+        }
+        Ok(items.into_any())
     }
-    if !(object.hasattr(intern!(py, "__len__"))? && object.hasattr(intern!(py, "__getitem__"))?) {
-        return Ok(None);
-    }
-    let count = match object.len() {
-        Ok(count) => count,
-        Err(exception) if exception.is_instance_of::<PyOverflowError>(py) => usize::MAX,
-        Err(exception) if is_no_such_thing(py, &exception) => return Ok(None),
-        Err(exception) => return Err(exception),
-    };
-    if count > MOST_ITEMS {
-        return Err(PyValueError::new_err(format!(
-            "{argument}: {} of {count} items is too long",
-            describe(object)
-        )));
-    }
-    let items = PyList::empty(py);
-    let Ok(iterator) = object.try_iter() else {
-        return Ok(None);
-    };
-    for item in iterator.take(count) {
-        items.append(item?)?;
-    }
-    Ok(Some(items.into_any()))
 }
 
 /// The letter of an array's dtype: `f` for floats of any size, and so on.

@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyString;
 
 use super::arrays::{array, axes_of, numbers, numpy_array};
-use super::{describe, Whole};
+use super::Whole;
 
 const EXPECTED: &str = "an integer, or integers [N]";
 
@@ -80,8 +80,8 @@ pub fn one_index(index: &Bound<'_, PyAny>, count: usize) -> PyResult<usize> {
     place(given.get("index")?, count)
 }
 
-/// The items of a list or another sequence of at most `most`, which is asked for them one by one:
-/// what it says of its length is not relied on.
+/// The items of a list or another sequence, no more than one above `most`. It is asked for them one
+/// by one: what it says of its length is not relied on.
 pub fn items<'py>(
     argument: &str,
     object: &Bound<'py, PyAny>,
@@ -98,17 +98,7 @@ pub fn items<'py>(
             false => exception,
         }
     })?;
-    let mut items = Vec::new();
-    for item in iterator {
-        if items.len() == most {
-            return Err(PyValueError::new_err(format!(
-                "{argument}: expected {expected}, got more than {most} in {}",
-                describe(object)
-            )));
-        }
-        items.push(item?);
-    }
-    Ok(items)
+    iterator.take(most.saturating_add(1)).collect()
 }
 
 /// `N` whole numbers.

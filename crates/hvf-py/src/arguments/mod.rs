@@ -10,7 +10,7 @@ mod arrays;
 mod given;
 mod indices;
 
-pub use arrays::{array, axes_of, booleans, new_array, numbers, point};
+pub use arrays::{array, as_lists, axes_of, booleans, new_array, numbers, point};
 pub use given::{text, Flag, Given, Real, Text, Whole};
 pub use indices::{indices, items, one_index, places};
 

@@ -22,7 +22,10 @@ pub fn seeds(seeds: Option<&Bound<'_, PyAny>>, problems: usize) -> PyResult<Vec<
     }
     let list = items("seeds", seeds, EXPECTED, problems)?;
     if list.len() != problems {
-        let found = list.len();
+        let found = match list.len() {
+            more if more > problems => "more".into(),
+            fewer => fewer.to_string(),
+        };
         return Err(PyValueError::new_err(format!(
             "seeds: must be as many as goals ({problems}), got {found}"
         )));

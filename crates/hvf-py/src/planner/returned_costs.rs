@@ -11,7 +11,7 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arguments::{array, describe, numbers};
+use crate::arguments::{array, as_lists, describe, numbers};
 
 /// Costs `[B, D]` of the shape `expected`: float32 as it is, other real numbers converted.
 ///
@@ -60,6 +60,7 @@ fn on_the_host<'py>(returned: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>>
             costs = convert.call0()?;
         }
     }
+    let costs = as_lists("costs", &costs)?;
     let numpy = py.import(intern!(py, "numpy"))?;
     let refused = match numpy.call_method1(intern!(py, "asarray"), (&costs,)) {
         Ok(array) => return Ok(array),

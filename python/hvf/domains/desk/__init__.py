@@ -88,6 +88,7 @@ DESK = Domain(
     weights={
         "layers": WEIGHTS / "desk_dynamics.safetensors",
         "layers-generator": WEIGHTS / "desk_generator.safetensors",
+        "latent": WEIGHTS / "desk_latent.safetensors",
     },
     generators={"layers": "layers-generator"},
     privileged=("simulator",),

@@ -48,7 +48,7 @@ class MazeTask:
     goal_observation: bool = False
 
     def __post_init__(self) -> None:
-        hvf_core.maze_episodes(0, 0, 0, _choice("difficulty", self.difficulty, Difficulty))
+        _choice("difficulty", self.difficulty, Difficulty)
         _choice("reward", self.reward, Reward)
         if self.render_mode is not None and self.render_mode not in RENDER_MODES:
             raise ValueError(
@@ -154,10 +154,9 @@ class MazeTask:
         return np.concatenate([now, gap, goal], axis=2)
 
 
-def _choice(argument: str, value: str, choices: object) -> str:
+def _choice(argument: str, value: str, choices: object) -> None:
     if value not in get_args(choices):
         raise ValueError(f"{argument}: must be one of {get_args(choices)}, got {value!r}")
-    return value
 
 
 def _vector(argument: str, value: ArrayLike, length: int) -> States:

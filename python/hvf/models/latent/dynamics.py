@@ -10,9 +10,8 @@ reduced frames: planning rolls out states of a few dozen numbers, and draws noth
 
 Trained by prediction over several steps: the read-outs of the first frame's state, and of each
 state after it, against the coefficients of the true frames. States themselves have no target: they
-become whatever predicts best. (With the coefficients themselves as state, and a network that moves
-them, predictions over five steps are half as good at three times the price: the picture has to be
-taken apart and put together in every step.)
+become whatever predicts best. (With the coefficients
+themselves as state, every step of a network has to take the picture apart and put it together.)
 
 Letters in shapes: ``N`` frames, ``Z`` coefficients, ``S`` numbers of a state, ``A`` action
 dimensions, ``L`` predicted steps.

@@ -32,7 +32,8 @@ class TAPRecipe(Recipe):
     Preset ``paper`` is as in the released code: its loss, batches of 256, Adam at a constant 1e-3
     for 100,000 steps. The default is what two cores can pay, with the same layers: smaller
     batches, fewer steps, a rate that ends at 0, and what makes our CVAE learn in fewer steps (see
-    :mod:`hvf.models.tap`). Without that, so few steps draw a maze with nobody in it.
+    :mod:`hvf.models.tap`). Without that, so few steps draw a maze with nobody in it, and with it a
+    smear where he may be: where random play is in between is hardly to be predicted.
 
     Attributes:
         batch_size: samples per step.
