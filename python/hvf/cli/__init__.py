@@ -34,7 +34,7 @@ VERBS: dict[str, Verb] = {
     "results": Verb("hvf.cli.results", "DOMAIN", "evaluations in a folder as a Markdown table"),
     "paper": Verb("hvf.cli.paper", "DOMAIN", "every table of the paper, beside its numbers"),
     "collect": Verb("hvf.cli.collect", "DOMAIN", "episodes under random actions; resumable"),
-    "data": Verb("hvf.cli.data", "import", "episodes from recordings of real robots; resumable"),
+    "data": Verb("hvf.cli.data", "", "import recordings of real robots as episodes; resumable"),
     "train": Verb("hvf.cli.train", "MODEL", "train a model on any episodes; resumable"),
     "probe": Verb("hvf.cli.probe", "", "what a trained model predicts, in numbers and pictures"),
     "report": Verb("hvf.cli.report", "DOMAIN", "models on many recorded episodes; resumable"),

@@ -26,6 +26,8 @@ def markdown(report: Mapping[str, Any]) -> str:
         parts += ["## Prediction", _prediction(summary["prediction"])]
     if "scene" in summary:
         parts += ["## Are images of the scene?", _scenes(summary)]
+    elif "generator" in report["weights"]:
+        parts.append("Whether images are of their scene is told from two held-out episodes on.")
     return "\n\n".join(parts) + "\n"
 
 
