@@ -20,6 +20,8 @@ __all__ = [
     "MAZE_WALL_X",
     "KeypointFrames",
     "KeypointWorld",
+    "LatentFrames",
+    "LatentWorld",
     "LayerFrames",
     "LayerWorld",
     "MazeFrames",
@@ -622,6 +624,7 @@ class KeypointWorld:
 
 # --- latents of any model -------------------------------------------------------------------
 
+@final
 class LatentFrames:
     """Frames of a `LatentWorld`: latents, and what is known of the frames besides. Immutable.
 
@@ -644,15 +647,15 @@ class LatentFrames:
         TypeError: what is no array.
     """
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         latents: NDArray[np.float32],
         targets: NDArray[np.float32] | None = None,
         constants: NDArray[np.float32] | None = None,
         images: NDArray[np.uint8] | None = None,
-    ) -> None: ...
+    ) -> Self: ...
     def __len__(self) -> int: ...
-    def __getitem__(self, index: int | NDArray[np.int64]) -> LatentFrames:
+    def __getitem__(self, index: _Index, /) -> LatentFrames:
         """The frames at `index`: an integer (one frame, still a batch) or an integer array.
 
         Raises:
@@ -676,6 +679,7 @@ class LatentFrames:
             AttributeError: no images were given.
         """
 
+@final
 class LatentWorld:
     """A world whose frames are latents, moved by a network that is given by its weights.
 
@@ -726,8 +730,8 @@ class LatentWorld:
         TypeError: an argument of another type.
     """
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         action_low: Sequence[float] | NDArray[np.floating],
         action_high: Sequence[float] | NDArray[np.floating],
         dynamics: Mapping[str, Any],
@@ -736,7 +740,7 @@ class LatentWorld:
         weights: NDArray[np.float32] | None = None,
         over_horizon: Literal["last", "sum", "min"] = "last",
         hold: SupportsIndex = 1,
-    ) -> None: ...
+    ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]:
         """Lowest action, float32 `[A]`."""
