@@ -19,12 +19,17 @@ class Interrupts:
     A signal that is ignored when the block begins stays ignored: whoever started the program, a
     script that put it into the background for one, wanted it so.
 
+    Args:
+        at_once: the first one interrupts, too; the note is for the case that this gets lost, so
+            that :meth:`check` still finds it.
+
     Attributes:
         asked: whether somebody wants the work to stop.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, at_once: bool = False) -> None:
         self.asked = False
+        self._at_once = at_once
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupts:
@@ -49,9 +54,9 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def _note(self, _number: int, _frame: FrameType | None) -> None:
-        if self.asked:
+        second, self.asked = self.asked, True
+        if second or self._at_once:
             raise KeyboardInterrupt
-        self.asked = True
 
 
 @contextlib.contextmanager

@@ -23,6 +23,7 @@ from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats import open_episodes
 from hvf.data.formats.hdf5 import FORMAT, EpisodeFile, Views, join_files, write_episodes
 from hvf.files import replacing
+from hvf.interrupts import Interrupts
 from hvf.progress import progress
 
 Made: TypeAlias = tuple[Episodes, Views]
@@ -80,7 +81,10 @@ def write_in_parts(
     parts = [
         (folder / f"{first:09d}-{part}.h5", first) for first in range(0, wanted.episodes, part)
     ]
-    with progress(console, about, wanted.episodes, "episodes", transient=False) as bar:
+    with (
+        progress(console, about, wanted.episodes, "episodes", transient=False) as bar,
+        Interrupts(at_once=True) as interrupts,
+    ):
         diverged = 0
         try:
             for path, first in parts:
@@ -97,6 +101,7 @@ def write_in_parts(
                             compress=compress,
                         )
                 diverged += _check_part(path, wanted, count)
+                interrupts.check()  # one that a destructor swallowed
                 bar.advance(count, note=f"{diverged} diverged" if diverged else None)
             with replacing(out) as temporary:
                 total = dataclasses.replace(wanted, diverged=diverged)
