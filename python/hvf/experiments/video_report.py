@@ -134,7 +134,7 @@ def report(domain: Domain, config: VideoReport, console: Console | None = None) 
         work.pictures()
     text = markdown(written)
     write_bytes(config.out / "report.md", text.encode())
-    console.print(text, highlight=False, markup=False)
+    console.print(text, highlight=False, markup=False, soft_wrap=True)
     return written
 
 
