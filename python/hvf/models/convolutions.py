@@ -6,18 +6,16 @@ have in common.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Literal, TypeAlias
 
-from torch import nn
+from torch import Tensor, nn
 
 Padding: TypeAlias = Literal["same", "valid"]
 """``same`` halves an image at a stride of 2; ``valid`` sees only what is inside."""
-
-INPUT_SCALE = 4.0
-"""Differences to the mean image are about a quarter where there is something."""
 
 
 def sizes_after(
@@ -34,6 +32,59 @@ def sizes_after(
         height, width = sizes[-1]
         sizes.append((-(-(height - lost) // stride), -(-(width - lost) // stride)))
     return sizes
+
+
+@dataclasses.dataclass(frozen=True)
+class StackConfig:
+    """Images that go through convolutions of stride 2 without padding, as in the released code.
+
+    Attributes:
+        image_size: height and width in pixels, at least 31 for four convolutions.
+        channels: of the 3x3 convolutions.
+
+    Raises:
+        ValueError: channels below 1, or images that are too small.
+    """
+
+    image_size: tuple[int, int] = (64, 64)
+    channels: tuple[int, ...] = (16, 32, 64, 128)
+
+    def __post_init__(self) -> None:
+        if not self.channels or min(self.channels) < 1:
+            raise ValueError(f"channels must be positive, got {self.channels}")
+        if len(self.image_size) != 2 or min(map(min, self.sizes)) < 1:
+            raise ValueError(
+                f"image_size must be (height, width), enough for {len(self.channels)} convolutions "
+                f"without padding; got {self.image_size}"
+            )
+
+    @property
+    def strides(self) -> tuple[int, ...]:
+        """Of the convolutions."""
+        return (2,) * len(self.channels)
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        """Height and width of the image, and after each convolution."""
+        return sizes_after(self.image_size, self.strides, "valid")
+
+    def check_pair(self, **images: Tensor) -> None:
+        """Refuse two batches of images that are not of this size, or not as many.
+
+        Raises:
+            ValueError: it is so; names the one that does not fit.
+        """
+        for name, batch in images.items():
+            if batch.ndim != 4 or batch.shape[1:] != (3, *self.image_size):
+                height, width = self.image_size
+                raise ValueError(
+                    f"{name}: expected shape [B, 3, {height}, {width}], got {list(batch.shape)}"
+                )
+        (one, first), (other, second) = images.items()
+        if len(first) != len(second):
+            raise ValueError(
+                f"{other}: must be {len(first)} images, as many as {one}; got {len(second)}"
+            )
 
 
 def encoder_of(

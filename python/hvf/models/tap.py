@@ -24,21 +24,21 @@ from typing import ClassVar, Literal, cast
 import torch
 from torch import Tensor, nn
 
+from hvf.models.centred import Centred
 from hvf.models.convolutions import (
-    INPUT_SCALE,
+    StackConfig,
     decoder_of,
     encoder_of,
     fully_connected,
     initialise_after_he,
     initialise_as_sonnet,
-    sizes_after,
 )
-from hvf.models.frames import mean_image, to_unit
+from hvf.models.frames import to_unit
 from hvf.models.vae import pyramid_loss
 
 
 @dataclasses.dataclass(frozen=True)
-class TAPConfig:
+class TAPConfig(StackConfig):
     """Sizes of the network and its loss; the defaults are the released code's.
 
     That network has 1,389,387 parameters.
@@ -61,8 +61,6 @@ class TAPConfig:
         ValueError: a number out of range, or images that are too small.
     """
 
-    image_size: tuple[int, int] = (64, 64)
-    channels: tuple[int, ...] = (16, 32, 64, 128)
     hidden: int = 512
     latent_dim: int = 8
     least_probability: float = 1e-3
@@ -72,11 +70,10 @@ class TAPConfig:
     pyramid_weight: float = 1.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("hidden", "latent_dim"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not self.channels or min(self.channels) < 1:
-            raise ValueError(f"channels must be positive, got {self.channels}")
         if not 0 < self.least_probability < 0.5:
             raise ValueError(
                 f"least_probability must be between 0 and 0.5, got {self.least_probability}"
@@ -91,40 +88,22 @@ class TAPConfig:
             raise ValueError(
                 f"pyramid_levels must be from 0 to log2 of the image, got {self.pyramid_levels}"
             )
-        if len(self.image_size) != 2 or min(map(min, self.sizes)) < 1:
-            raise ValueError(
-                f"image_size must be (height, width), enough for {len(self.channels)} convolutions "
-                f"without padding; got {self.image_size}"
-            )
-
-    @property
-    def strides(self) -> tuple[int, ...]:
-        """Of the convolutions."""
-        return (2,) * len(self.channels)
-
-    @property
-    def sizes(self) -> list[tuple[int, int]]:
-        """Height and width of the image, and after each convolution."""
-        return sizes_after(self.image_size, self.strides, "valid")
 
 
-class TAP(nn.Module):
+class TAP(Centred):
     """Predicts an image that lies between two others in time."""
 
     config_type: ClassVar[type[TAPConfig]] = TAPConfig
-    mean_image: Tensor
+    config: TAPConfig
 
     def __init__(self, config: TAPConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config)
         self._spatial = (config.channels[-1], *config.sizes[-1])
         features = math.prod(self._spatial)
         self.encoder = encoder_of(config.channels, config.strides, "valid")
         self.bottleneck = fully_connected(2 * features, config.hidden, config.latent_dim)
         self.features = nn.Linear(config.latent_dim, features)
         self.decoder = decoder_of(config.channels, config.strides, "valid", config.sizes)
-        if config.centred:
-            self.register_buffer("mean_image", torch.full((3, *config.image_size), 0.5))
         if config.initialisation == "he":
             initialise_after_he(self)
             with torch.no_grad():
@@ -132,43 +111,18 @@ class TAP(nn.Module):
         else:
             initialise_as_sonnet(self)
 
-    def centre(self, frames: Tensor) -> TAP:
-        """Take the mean of ``frames``, uint8 ``[N, H, W, 3]``, as the image to start from.
-
-        Raises:
-            ValueError: another shape than the config's, or a config that is not centred.
-            TypeError: another dtype.
-        """
-        if not self.config.centred:
-            raise ValueError("centre: the config says that images are taken as they are")
-        self.mean_image.copy_(mean_image(frames, self.config.image_size))
-        return self
-
     def forward(self, start: Tensor, goal: Tensor) -> Tensor:
         """Images between ``start`` and ``goal``: float ``[B, 3, H, W]`` in [0, 1], all three.
 
         Raises:
             ValueError: images of other shapes.
         """
-        for name, images in (("start", start), ("goal", goal)):
-            if images.ndim != 4 or images.shape[1:] != (3, *self.config.image_size):
-                height, width = self.config.image_size
-                raise ValueError(
-                    f"{name}: expected shape [B, 3, {height}, {width}], got {list(images.shape)}"
-                )
-        if len(start) != len(goal):
-            raise ValueError(
-                f"goal: must be {len(start)} images, as many as start; got {len(goal)}"
-            )
-        both = torch.cat([start, goal])
-        if self.config.centred:
-            both = (both - self.mean_image) * INPUT_SCALE
-        seen = self.encoder(both).flatten(1)
+        self.config.check_pair(start=start, goal=goal)
+        seen = self.encoder(self.taken(torch.cat([start, goal]))).flatten(1)
         latent = self.bottleneck(torch.cat(seen.chunk(2), 1))
         grown = self.features(latent).unflatten(1, self._spatial)
-        logits = self.decoder(grown.contiguous(memory_format=torch.channels_last)).float()
-        if self.config.centred:
-            logits = logits + torch.logit(self.mean_image, eps=1e-2)
+        decoded = self.decoder(grown.contiguous(memory_format=torch.channels_last))
+        logits = self.drawn(decoded.float())
         least = self.config.least_probability
         return torch.sigmoid(logits).clamp(least, 1 - least)
 

@@ -19,16 +19,16 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from hvf.models.convolutions import (
+    StackConfig,
     encoder_of,
     fully_connected,
     initialise_as_sonnet,
-    sizes_after,
 )
 from hvf.models.frames import to_unit
 
 
 @dataclasses.dataclass(frozen=True)
-class TDMConfig:
+class TDMConfig(StackConfig):
     """Sizes of the network and its loss; the defaults are the released code's.
 
     That network has 1,115,346 parameters.
@@ -45,37 +45,20 @@ class TDMConfig:
         ValueError: a number out of range, or images that are too small.
     """
 
-    image_size: tuple[int, int] = (64, 64)
-    channels: tuple[int, ...] = (16, 32, 64, 128)
     layers: tuple[int, ...] = (512, 512, 256, 128)
     near: int = 3
     noise: float = 0.05
     mixup: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("channels", "layers"):
-            if not getattr(self, name) or min(getattr(self, name)) < 1:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        super().__post_init__()
+        if not self.layers or min(self.layers) < 1:
+            raise ValueError(f"layers must be positive, got {self.layers}")
         if self.near < 1:
             raise ValueError(f"near must be at least 1, got {self.near}")
         for name in ("noise", "mixup"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        if len(self.image_size) != 2 or min(map(min, self.sizes)) < 1:
-            raise ValueError(
-                f"image_size must be (height, width), enough for {len(self.channels)} convolutions "
-                f"without padding; got {self.image_size}"
-            )
-
-    @property
-    def strides(self) -> tuple[int, ...]:
-        """Of the convolutions."""
-        return (2,) * len(self.channels)
-
-    @property
-    def sizes(self) -> list[tuple[int, int]]:
-        """Height and width of the image, and after each convolution."""
-        return sizes_after(self.image_size, self.strides, "valid")
 
 
 class TDM(nn.Module):
@@ -106,16 +89,7 @@ class TDM(nn.Module):
         Raises:
             ValueError: images of other shapes.
         """
-        for name, images in (("first", first), ("second", second)):
-            if images.ndim != 4 or images.shape[1:] != (3, *self.config.image_size):
-                height, width = self.config.image_size
-                raise ValueError(
-                    f"{name}: expected shape [B, 3, {height}, {width}], got {list(images.shape)}"
-                )
-        if len(first) != len(second):
-            raise ValueError(
-                f"second: must be {len(first)} images, as many as first; got {len(second)}"
-            )
+        self.config.check_pair(first=first, second=second)
         return self.logits(first, second).softmax(1)[:, 0]
 
     def loss(

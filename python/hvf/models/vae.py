@@ -17,15 +17,15 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from hvf.models.centred import Centred
 from hvf.models.convolutions import (
-    INPUT_SCALE,
     decoder_of,
     encoder_of,
     fully_connected,
     initialise_after_he,
     initialise_as_sonnet,
 )
-from hvf.models.frames import mean_image, to_unit
+from hvf.models.frames import to_unit
 from hvf.models.vae_config import (
     BAIR_CVAE,
     DESK_VAE,
@@ -50,7 +50,7 @@ __all__ = [
 _LEAST_VARIANCE = 1e-5
 
 
-class CVAE(nn.Module):
+class CVAE(Centred):
     """Images that are possible in a scene; the planner's subgoal generator decodes its latents.
 
     Letters: ``B`` images, ``L`` latent dimensions. Images inside are float, in [0, 1],
@@ -58,11 +58,10 @@ class CVAE(nn.Module):
     """
 
     config_type: ClassVar[type[CVAEConfig]] = CVAEConfig
-    mean_image: torch.Tensor
+    config: CVAEConfig
 
     def __init__(self, config: CVAEConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config)
         sizes, padding = config.sizes, config.padding
         self._spatial = (config.channels[-1], *sizes[-1])
         features = math.prod(self._spatial)
@@ -81,25 +80,7 @@ class CVAE(nn.Module):
         self.image = fully_connected(config.latent_dim + scene, *config.image_layers, features)
         if not config.activate_final and config.image_layers:
             del self.image[-2]
-        if config.centred:
-            self.register_buffer("mean_image", torch.full((3, *config.image_size), 0.5))
         self._initialise()
-
-    def centre(self, frames: torch.Tensor) -> CVAE:
-        """Take the mean of ``frames``, uint8 ``[N, H, W, 3]``, as the image to start from.
-
-        The encoder sees differences to it and the decoder's logits are added to its own. What all
-        images share, most of the maze, is then known before the first step; otherwise it is all
-        that the first thousands of steps learn, while the latents die.
-
-        Raises:
-            ValueError: another shape than the config's, or a config that is not centred.
-            TypeError: another dtype.
-        """
-        if not self.config.centred:
-            raise ValueError("centre: the config says that images are taken as they are")
-        self.mean_image.copy_(mean_image(frames, self.config.image_size))
-        return self
 
     def encode(
         self, image: torch.Tensor, scene: torch.Tensor | None
@@ -218,9 +199,7 @@ class CVAE(nn.Module):
             cast(nn.ConvTranspose2d, last).weight *= 0.1
 
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
-        if self.config.centred:
-            images = (images - self.mean_image) * INPUT_SCALE
-        features: torch.Tensor = self.encoder(images)
+        features: torch.Tensor = self.encoder(self.taken(images))
         return features
 
     def _posterior(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -242,10 +221,7 @@ class CVAE(nn.Module):
         else:
             scene = self.scene(spatial.flatten(1)).expand(len(latent), -1)
             grown = self.image(torch.cat([scene, latent], 1)).unflatten(1, self._spatial) + spatial
-        change: torch.Tensor = self.decoder(grown.contiguous(memory_format=torch.channels_last))
-        if self.config.centred:
-            change = change + torch.logit(self.mean_image, eps=1e-2)
-        return change
+        return self.drawn(self.decoder(grown.contiguous(memory_format=torch.channels_last)))
 
 
 class VAE(CVAE):

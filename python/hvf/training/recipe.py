@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 from collections.abc import Callable, Generator, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias, TypeVar
@@ -65,6 +66,8 @@ class Stage:
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     validate: Callable[[Any, Any], Validation] | None = None
 
+
+ConfigT = TypeVar("ConfigT")
 
 Stages: TypeAlias = Generator[Stage, Any, None]
 """Stages, in order; each is sent back trained."""
@@ -150,6 +153,19 @@ class TrainingData:
     def training(self) -> int:
         """Number of the episodes to learn from: the first ones of the file."""
         return len(episodes_of("train", self.metadata))
+
+    def fitted(
+        self, config: ConfigT, what: str = "the model cannot take its images", **sizes: Any
+    ) -> ConfigT:
+        """A model's ``config`` with the data's size of images, and with other ``sizes`` of it.
+
+        Raises:
+            ValueError: the config refuses them; says ``what`` that means.
+        """
+        try:
+            return dataclasses.replace(config, image_size=self.image_size, **sizes)  # type: ignore[type-var]
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {what}: {error}") from error
 
     def square(self, model: str) -> int:
         """Height and width of the frames, for a ``model`` that takes square ones only.
@@ -238,6 +254,12 @@ class Recipe:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
 
+    def positive(self, *names: str) -> None:
+        """Raise ValueError if one of these fields is not a finite number above 0."""
+        for name in names:
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
     @classmethod
     def of(cls, preset: str, **settings: Any) -> Any:
         """The recipe with a preset, and with ``settings`` on top of it. Paths may be words.
@@ -257,9 +279,6 @@ class Recipe:
                 settings[field.name] = Path(settings[field.name])
         recipe = cls(data=settings.pop("data"), preset=preset)
         return with_settings(with_settings(recipe, cls.presets.get(preset, {})), settings)
-
-
-ConfigT = TypeVar("ConfigT")
 
 
 def with_settings(config: ConfigT, settings: Mapping[str, Any]) -> ConfigT:

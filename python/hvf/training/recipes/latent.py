@@ -134,16 +134,13 @@ class LatentRecipe(Recipe):
         """
         low, high = data.action_box
         hold = int(data.metadata.parameters.get("action_repeat", self.model.hold))
-        try:
-            return dataclasses.replace(
-                self.model,
-                image_size=data.image_size,
-                action_low=low,
-                action_high=high,
-                hold=hold,
-            )
-        except ValueError as error:
-            raise ValueError(f"{data.path}: the latent model cannot take it: {error}") from error
+        return data.fitted(
+            self.model,
+            "the latent model cannot take it",
+            action_low=low,
+            action_high=high,
+            hold=hold,
+        )
 
 
 def validate_dynamics(model: LatentDynamics, held_out: EpisodePool) -> Validation:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -89,8 +88,7 @@ class RIGRecipe(Recipe):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.at_least_one("batch_size", "vae_batch")
-        if not (math.isfinite(self.memory_gb) and self.memory_gb > 0):
-            raise ValueError(f"memory_gb must be positive, got {self.memory_gb}")
+        self.positive("memory_gb")
 
     def stages(self, data: TrainingData) -> Stages:
         """The VAE from recorded images, then the policy by acting."""

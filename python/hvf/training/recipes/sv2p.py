@@ -6,8 +6,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import numpy as np
-
 from hvf.data.loader import WindowSampler
 from hvf.models.sv2p.config import SMALL, SV2PConfig
 from hvf.models.sv2p.model import SV2P, SV2PSmall
@@ -53,8 +51,7 @@ class SV2PRecipe(Recipe):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.at_least_one("batch_size")
-        if not (np.isfinite(self.memory_gb) and self.memory_gb > 0):
-            raise ValueError(f"memory_gb must be positive, got {self.memory_gb}")
+        self.positive("memory_gb")
 
     def stages(self, data: TrainingData) -> Stages:
         """One stage: the frames of clips from their first frames and actions."""
@@ -85,12 +82,7 @@ class SV2PRecipe(Recipe):
                 f"{data.path}: episodes have {data.metadata.steps} steps, model.frames needs "
                 f"{self.model.frames - 1}"
             )
-        try:
-            return dataclasses.replace(
-                self.model, image_size=data.image_size, action_low=low, action_high=high
-            )
-        except ValueError as error:
-            raise ValueError(f"{data.path}: the model cannot take it: {error}") from error
+        return data.fitted(self.model, "the model cannot take it", action_low=low, action_high=high)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

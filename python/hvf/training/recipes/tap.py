@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -16,13 +15,11 @@ from hvf.models.frames import to_frames, to_unit
 from hvf.models.tap import TAP, TAPConfig
 from hvf.training.loop import LoopConfig, Validation, seeded
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
-from hvf.training.recipes.vae import PROBES, Probe
+from hvf.training.recipes.vae import PROBES, Probe, centre
 
 # Held-out samples that a validation measures, and how many of them its picture shows.
 _SAMPLES = 256
 _SHOWN = 12
-# The mean image is taken over every tenth frame of the pool.
-_MEAN_STRIDE = 10
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -67,24 +64,19 @@ class TAPRecipe(Recipe):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.at_least_one("batch_size")
-        if not (math.isfinite(self.memory_gb) and self.memory_gb > 0):
-            raise ValueError(f"memory_gb must be positive, got {self.memory_gb}")
+        self.positive("memory_gb")
 
     def stages(self, data: TrainingData) -> Stages:
         """One stage: images between two others."""
         seed = self.loop.seed
-        try:
-            config = dataclasses.replace(self.model, image_size=data.image_size)
-        except ValueError as error:
-            raise ValueError(f"{data.path}: the model cannot take its images: {error}") from error
+        config = data.fitted(self.model)
         times = (self.nearest, self.furthest, self.margin)
         held_out = BetweenSampler(data.held_out, _SAMPLES, *times, seed).batch(0)
         probe = PROBES.get(data.environment)
         pool = data.pool(self.memory_gb)
         model = seeded(seed, lambda: TAP(config))
         if config.centred:
-            pool.move_to(0)
-            model.centre(torch.from_numpy(pool.frames_every(_MEAN_STRIDE)))
+            centre(model, pool)
         yield Stage(
             model,
             BetweenSampler(pool, self.batch_size, *times, seed),

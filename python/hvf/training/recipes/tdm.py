@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -61,16 +60,12 @@ class TDMRecipe(Recipe):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.at_least_one("batch_size", "furthest")
-        if not (math.isfinite(self.memory_gb) and self.memory_gb > 0):
-            raise ValueError(f"memory_gb must be positive, got {self.memory_gb}")
+        self.positive("memory_gb")
 
     def stages(self, data: TrainingData) -> Stages:
         """One stage: near pairs of frames, and far ones."""
         seed = self.loop.seed
-        try:
-            config = dataclasses.replace(self.model, image_size=data.image_size)
-        except ValueError as error:
-            raise ValueError(f"{data.path}: the model cannot take its images: {error}") from error
+        config = data.fitted(self.model)
         yield Stage(
             seeded(seed, lambda: TDM(config)),
             PartnersSampler(data.pool(self.memory_gb), self.batch_size, self.furthest, seed),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -12,8 +11,9 @@ import torch
 from numpy.typing import NDArray
 
 import hvf_core
-from hvf.data.loader import PairSampler
+from hvf.data.loader import EpisodePool, PairSampler
 from hvf.images import frame_grid
+from hvf.models.centred import Centred
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.vae import (
     BAIR_CVAE,
@@ -73,8 +73,7 @@ class CVAERecipe(Recipe):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.at_least_one("batch_size")
-        if not (math.isfinite(self.memory_gb) and self.memory_gb > 0):
-            raise ValueError(f"memory_gb must be positive, got {self.memory_gb}")
+        self.positive("memory_gb")
 
     def stages(self, data: TrainingData) -> Stages:
         """One stage: images given others of their episode."""
@@ -83,13 +82,12 @@ class CVAERecipe(Recipe):
     def stage(self, data: TrainingData) -> Stage:
         """The one stage."""
         seed = self.loop.seed
-        config = self.fitting(data)
+        config = data.fitted(self.model)
         pool = data.pool(self.memory_gb)
         pairs = PairSampler(data.held_out, _PAIRS, seed).batch(0)
         model = seeded(seed, lambda: self.model_class(config))
         if config.centred:
-            pool.move_to(0)
-            model.centre(torch.from_numpy(pool.frames_every(_MEAN_STRIDE)))
+            centre(model, pool)
         probe = PROBES.get(data.environment)
         return Stage(
             model,
@@ -99,17 +97,6 @@ class CVAERecipe(Recipe):
             settings={"batch_size": self.batch_size, "memory_gb": self.memory_gb},
             validate=lambda trained, generator: validate_subgoals(trained, pairs, generator, probe),
         )
-
-    def fitting(self, data: TrainingData) -> CVAEConfig:
-        """The model's config, of the data's size of images.
-
-        Raises:
-            ValueError: images that the model cannot take.
-        """
-        try:
-            return dataclasses.replace(self.model, image_size=data.image_size)
-        except ValueError as error:
-            raise ValueError(f"{data.path}: the model cannot take its images: {error}") from error
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -148,6 +135,12 @@ class VAERecipe(CVAERecipe):
         super().__post_init__()
         if self.model.conditional:
             raise ValueError("model.conditional must be False for a VAE")
+
+
+def centre(model: Centred, pool: EpisodePool) -> None:
+    """Let a model begin with the mean image of the first step's episodes."""
+    pool.move_to(0)
+    model.centre(torch.from_numpy(pool.frames_every(_MEAN_STRIDE)))
 
 
 # Samples and what a true image of the same scene looks like, both uint8 [N, H, W, 3], to metrics.
