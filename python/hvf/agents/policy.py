@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hvf.agents.frames import images_of
-from hvf.protocols import Decision, Frames, Images, Indices, Policy, Trials
+from hvf.agents.direct import DirectAgent
+from hvf.protocols import Decision, Images, Indices, Policy
 
 
-class PolicyAgent:
+class PolicyAgent(DirectAgent):
     """Acts by a policy that is given a goal image; has no subgoals.
 
     Args:
@@ -19,17 +18,8 @@ class PolicyAgent:
     """
 
     def __init__(self, policy: Policy) -> None:
+        super().__init__()
         self.policy = policy
-        self._goals: Images = np.empty((0, 0, 0, 3), np.uint8)
-
-    def begin(self, trials: Trials) -> None:
-        """Note the goals."""
-        self._goals = trials.goals
-
-    def choose(self, trial: int, seed: int) -> Frames:
-        """Choose no subgoals."""
-        none: Frames = self._goals[trial][None][:0]
-        return none
 
     def act(
         self, which: Indices, observations: Images, aims: Indices, seeds: Sequence[int]
@@ -41,16 +31,3 @@ class PolicyAgent:
             for trial, observation in zip(map(int, which), observations, strict=True)
         ]
         return Decision(np.stack(chosen).astype(np.float32))
-
-    def acted(self, which: Indices, actions: NDArray[np.float32]) -> None:
-        """Take note of nothing."""
-
-    def distances(
-        self, which: Indices, observations: Images, aims: Indices, blur: float
-    ) -> NDArray[np.floating]:
-        """Return infinity: there is nothing to reach before the goal."""
-        return np.full(len(which), np.inf)
-
-    def images(self, frames: Frames) -> Images:
-        """Return no images."""
-        return images_of(frames)

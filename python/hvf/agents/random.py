@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hvf.agents.frames import images_of
-from hvf.protocols import Decision, Frames, Images, Indices, Trials
+from hvf.agents.direct import DirectAgent
+from hvf.protocols import Decision, Images, Indices
 
 
-class RandomAgent:
+class RandomAgent(DirectAgent):
     """Acts at random; has no subgoals.
 
     Args:
@@ -20,18 +20,9 @@ class RandomAgent:
     """
 
     def __init__(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> None:
+        super().__init__()
         self.low = low
         self.high = high
-        self._goals: Images = np.empty((0, 0, 0, 3), np.uint8)
-
-    def begin(self, trials: Trials) -> None:
-        """Note the goals."""
-        self._goals = trials.goals
-
-    def choose(self, trial: int, seed: int) -> Frames:
-        """Choose no subgoals."""
-        none: Frames = self._goals[trial][None][:0]
-        return none
 
     def act(
         self, which: Indices, observations: Images, aims: Indices, seeds: Sequence[int]
@@ -39,16 +30,3 @@ class RandomAgent:
         """Return random actions."""
         draws = [np.random.default_rng(seed).uniform(self.low, self.high) for seed in seeds]
         return Decision(np.stack(draws).astype(np.float32))
-
-    def acted(self, which: Indices, actions: NDArray[np.float32]) -> None:
-        """Take note of nothing."""
-
-    def distances(
-        self, which: Indices, observations: Images, aims: Indices, blur: float
-    ) -> NDArray[np.floating]:
-        """Return infinity: there is nothing to reach before the goal."""
-        return np.full(len(which), np.inf)
-
-    def images(self, frames: Frames) -> Images:
-        """Return no images."""
-        return images_of(frames)

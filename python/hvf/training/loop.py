@@ -23,7 +23,7 @@ from rich.console import Console
 from hvf.interrupts import Interrupts
 from hvf.models.checkpoint import config_to_json, read_header, save_model
 from hvf.training.report import Reporter, Validation
-from hvf.training.state import TrainingState, load_state, save_state
+from hvf.training.state import Memory, TrainingState, load_state, save_state
 
 __all__ = [
     "Batch",
@@ -52,24 +52,12 @@ class Sampler(Protocol):
 
 
 @runtime_checkable
-class Interactive(Sampler, Protocol):
+class Interactive(Sampler, Memory, Protocol):
     """A sampler whose batches depend on the model in training, such as one that acts by it.
 
     :meth:`Sampler.batch` is called between steps, in order, and not ahead. What it goes on from is
     kept with the run.
     """
-
-    def memory(self) -> Mapping[str, torch.Tensor]:
-        """Return what the batches to come depend on beside the model: CPU tensors."""
-        ...
-
-    def recall(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Go on from what :meth:`memory` returned, in this run or another one.
-
-        Raises:
-            ValueError: tensors that are not this sampler's.
-        """
-        ...
 
 
 class Trainable(Protocol):

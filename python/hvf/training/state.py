@@ -1,8 +1,8 @@
 """What a run needs to go on after it was stopped: weights, optimiser and step, in safetensors.
 
 Batches and noise are functions of (seed, step), so there is no generator to keep; a sampler whose
-batches are not says what it remembers. What is fitted
-without gradient before a training, or after it, is kept too (:func:`fitted`).
+batches are not says what it remembers. What is fitted without gradient before a training, or after
+it, is kept too (:func:`fitted`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import torch
 
@@ -23,15 +23,20 @@ FITTED = "hvf-fitted-1"
 ModelT = TypeVar("ModelT", bound=torch.nn.Module)
 
 
-class Remembering(Protocol):
-    """What has a memory of its own (:class:`hvf.training.loop.Interactive`)."""
+@runtime_checkable
+class Memory(Protocol):
+    """What has something to remember, beside a model: a sampler that acts by it."""
 
     def memory(self) -> Mapping[str, torch.Tensor]:
-        """Return it."""
+        """Return what the batches to come depend on beside the model: CPU tensors."""
         ...
 
     def recall(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Take it over."""
+        """Go on from what :meth:`memory` returned, in this run or another one.
+
+        Raises:
+            ValueError: tensors that are not this sampler's.
+        """
         ...
 
 
@@ -41,7 +46,7 @@ class TrainingState:
 
     model: torch.nn.Module
     optimiser: torch.optim.Optimizer
-    sampler: Remembering | None = None
+    sampler: Memory | None = None
 
 
 def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any], step: int) -> None:

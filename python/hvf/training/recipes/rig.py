@@ -24,6 +24,7 @@ from hvf.training.replay import Relabelling
 
 # Validation episodes that a validation acts in.
 _EPISODES = 20
+_PAPER_VAE = VAERecipe.presets["rig"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -55,9 +56,9 @@ class RIGRecipe(Recipe):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "exploration": Exploration(),
-            "vae": RIG_VAE,
-            "vae_batch": 128,
-            "vae_loop": LoopConfig(steps=50_100, learning_rate=1e-3, precision="float32"),
+            "vae": _PAPER_VAE["model"],
+            "vae_batch": _PAPER_VAE["batch_size"],
+            "vae_loop": _PAPER_VAE["loop"],
             "loop.steps": 2_020_000,
         }
     }
