@@ -19,6 +19,7 @@ from torch import nn
 
 import hvf_core
 from hvf.agents.planning import PlanningAgent
+from hvf.blur import blur_matrix
 from hvf.evaluation.prediction import context_of, predict
 from hvf.models.vae import CVAE, CVAEConfig
 from hvf.models.video import State, VideoConfig, VideoModel, sequence_noise
@@ -26,7 +27,7 @@ from hvf.protocols import Drawable, Observer, Preparer, Remembering, RolloutShar
 from hvf.settings import Planning
 from hvf.worlds.batching import batches
 from hvf.worlds.distances import latent_world
-from hvf.worlds.pixels import PixelCost, blur_matrix
+from hvf.worlds.pixels import PixelCost
 from hvf.worlds.video import RememberingVideoWorld, VideoWorld, world_of
 
 HEIGHT, WIDTH, SIDE = 12, 16, 3.0

@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn import functional as F
 
+from hvf.action_box import check_action_box
 from hvf.models.convolutions import fully_connected
 from hvf.models.frames import to_unit
 from hvf.models.vae import VAE
@@ -65,9 +66,7 @@ class RIGConfig:
     def __post_init__(self) -> None:
         if self.vae.conditional:
             raise ValueError("vae: must not be conditional: a goal is imagined without a scene")
-        low, high = self.action_low, self.action_high
-        if len(low) != len(high) or not low or any(a >= b for a, b in zip(low, high, strict=True)):
-            raise ValueError(f"action_low must be below action_high, got {low} and {high}")
+        check_action_box(self.action_low, self.action_high)
         if not self.layers or min(self.layers) < 1:
             raise ValueError(f"layers must be positive, got {self.layers}")
         if not 0 <= self.discount < 1:

@@ -16,6 +16,8 @@ from typing import TypeAlias
 import torch
 from torch import Tensor, nn
 
+from hvf.action_box import check_action_box
+
 State: TypeAlias = tuple[Tensor, ...]
 """What a model remembers, tensors ``[N, ...]`` of any shape: hidden states, latents, a frame."""
 
@@ -43,10 +45,7 @@ class VideoConfig:
             object.__setattr__(self, name, tuple(getattr(self, name)))
         if len(self.image_size) != 2 or min(self.image_size) < 1:
             raise ValueError(f"image_size must be height and width, got {self.image_size}")
-        low, high = self.action_low, self.action_high
-        paired = len(low) == len(high) > 0
-        if not paired or any(a >= b for a, b in zip(low, high, strict=True)):
-            raise ValueError(f"action_low must be below action_high, got {low} and {high}")
+        check_action_box(self.action_low, self.action_high)
 
     @property
     def action_dim(self) -> int:

@@ -31,11 +31,11 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
-import numpy as np
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 from torch import nn
 
+from hvf.action_box import Box, box_around, extremes
 from hvf.data.loader import EpisodePool
 from hvf.data.splits import Split, episodes_of
 from hvf.registry import MODELS
@@ -133,7 +133,7 @@ class TrainingData:
         return float(max(abs(number) for number in (*low, *high)))
 
     @property
-    def action_box(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def action_box(self) -> Box:
         """Lowest and highest action, ``A`` numbers each: as the data tells, or as they were.
 
         Without a range in the data it is that of the validation episodes' actions, a little wider
@@ -141,12 +141,7 @@ class TrainingData:
         """
         low, high = self.metadata.action_low, self.metadata.action_high
         if low is None or high is None:
-            steps = np.arange(self.held_out.actions.shape[1])
-            done = self.held_out.actions[steps < self.held_out.lengths[:, None]]
-            least, most = done.min(0), done.max(0)
-            still = least == most
-            low = tuple(map(float, np.where(still, least - 1, least)))
-            high = tuple(map(float, np.where(still, most + 1, most)))
+            return box_around(*extremes(self.held_out.actions, self.held_out.lengths))
         return low, high
 
     @property

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from hvf.worlds.threads import one_thread
+from hvf.threads import one_thread
 
 T = TypeVar("T")
 

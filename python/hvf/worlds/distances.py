@@ -24,8 +24,8 @@ from hvf.models.temporal_distance import TemporalDistance
 from hvf.models.vae import CVAE
 from hvf.protocols import Remembering, WorldModel
 from hvf.settings import OverHorizon, Planning
+from hvf.threads import one_thread
 from hvf.worlds.keypoint import KeypointWorld
-from hvf.worlds.threads import one_thread
 from hvf.worlds.world import Around
 
 _AT_ONCE = 512

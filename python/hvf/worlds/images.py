@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.tap import TAP
 from hvf.models.vae import CVAE
-from hvf.worlds.threads import one_thread
+from hvf.threads import one_thread
 
 
 class Seen(Protocol):

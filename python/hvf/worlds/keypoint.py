@@ -16,7 +16,7 @@ from hvf.models.frames import to_frames, to_unit
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.keypoint.generator import KeypointGenerator
 from hvf.settings import OverHorizon, Planning
-from hvf.worlds.threads import one_thread
+from hvf.threads import one_thread
 from hvf.worlds.world import Around, checked_images
 
 _IMAGES_AT_ONCE = 512

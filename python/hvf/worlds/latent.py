@@ -19,7 +19,7 @@ from hvf.models.latent.model import LatentModel
 from hvf.models.latent.network import Block, Residual
 from hvf.protocols import Images
 from hvf.settings import OverHorizon, Planning
-from hvf.worlds.threads import one_thread
+from hvf.threads import one_thread
 from hvf.worlds.world import Around, checked_images
 
 _IMAGES_AT_ONCE = 256

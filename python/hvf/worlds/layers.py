@@ -17,7 +17,7 @@ from hvf.models.frames import to_frames
 from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.layers.perception import Scene
 from hvf.settings import OverHorizon, Planning
-from hvf.worlds.threads import one_thread
+from hvf.threads import one_thread
 from hvf.worlds.world import Around, checked_images
 
 _IMAGES_AT_ONCE = 64

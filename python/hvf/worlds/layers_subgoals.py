@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 import hvf_core
 from hvf.models.layers.generator import LayerGenerator
+from hvf.threads import one_thread
 from hvf.worlds.layers import LayerWorld
-from hvf.worlds.threads import one_thread
 
 
 class StateSubgoals:

@@ -7,13 +7,10 @@ Gaussian blur that is ``scipy.ndimage.gaussian_filter``'s.
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from hvf.blur import blur_matrix
 from hvf.settings import check_blur
 
 
@@ -46,20 +43,3 @@ class PixelCost:
     def between(self, features: Tensor, aims: Tensor) -> Tensor:
         """Costs ``[N]`` of ``features [N, 3, H, W]`` to those of goals, ``[N or 1, 3, H, W]``."""
         return (features - aims).square().flatten(1).sum(dim=1) / self._pixels
-
-
-def blur_matrix(n: int, sigma: float) -> NDArray[np.float64]:
-    """A Gaussian blur of ``n`` pixels in a row as a matrix ``[n, n]``: ``out = matrix @ row``.
-
-    The kernel ends at four standard deviations, and the row is continued by reflection about the
-    edges of its last pixels (``d c b a | a b c d | d c b a``): SciPy's defaults.
-    """
-    radius = int(4 * sigma + 0.5)
-    taps = np.arange(-radius, radius + 1)
-    weights = np.array([math.exp(-0.5 * (tap / sigma) ** 2) for tap in taps])
-    weights /= weights.sum()
-    folded = (np.arange(n)[:, None] + taps) % (2 * n)
-    sources = np.where(folded < n, folded, 2 * n - 1 - folded)
-    matrix = np.zeros((n, n))
-    np.add.at(matrix, (np.arange(n)[:, None].repeat(len(taps), 1), sources), weights)
-    return matrix

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from hvf.models.rig import RIG
-from hvf.worlds.threads import one_thread
+from hvf.threads import one_thread
 
 
 class LatentPolicy:

@@ -21,8 +21,8 @@ from hvf.models.frames import to_unit
 from hvf.models.video import State, VideoModel
 from hvf.protocols import Images
 from hvf.settings import check_word
+from hvf.threads import one_thread
 from hvf.worlds.batching import Rows, allocated, batches, on_threads
-from hvf.worlds.threads import one_thread
 
 T = TypeVar("T")
 

@@ -20,6 +20,7 @@ import tyro
 from numpy.typing import NDArray
 from rich.console import Console
 
+from hvf.action_box import box_around, extremes
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import EpisodeFile
 from hvf.data.importing.resize import area_resized, size_of
@@ -291,19 +292,13 @@ def _fingerprint(files: Iterable[Path]) -> str:
 
 def _with_action_box(metadata: Metadata, parts: Sequence[Path]) -> Metadata:
     """With the smallest box that all actions are in, a little wider where one never changes."""
-    low, high = [], []
+    lows, highs = [], []
     for path in parts:
         with EpisodeFile(path) as file:
             if not file.action_dim:
                 return metadata
-            actions = file.dataset("actions")[...]
-            done = actions[np.arange(actions.shape[1]) < file.lengths[:, None]]
-            low.append(done.min(0))
-            high.append(done.max(0))
-    least, most = np.min(low, axis=0), np.max(high, axis=0)
-    still = least == most
-    return dataclasses.replace(
-        metadata,
-        action_low=tuple(map(float, np.where(still, least - 1, least))),
-        action_high=tuple(map(float, np.where(still, most + 1, most))),
-    )
+            least, most = extremes(file.dataset("actions")[...], file.lengths)
+            lows.append(least)
+            highs.append(most)
+    low, high = box_around(np.min(lows, axis=0), np.max(highs, axis=0))
+    return dataclasses.replace(metadata, action_low=low, action_high=high)

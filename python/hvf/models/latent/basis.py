@@ -16,10 +16,9 @@ from collections.abc import Iterable
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 from torch import Tensor, nn
 
+from hvf.blur import blur_matrix
 from hvf.models.latent.config import LatentConfig
 
 # Coefficients are divided by a power of their standard deviation: 1 would blow noise up until it
@@ -123,11 +122,10 @@ class BlurredBasis(nn.Module):
 
 
 def _reduction(size: int, blur: float, cell: int) -> Tensor:
-    """Blur along an axis (as the planner's, scipy's defaults), then means of cells: ``[G, size]``.
+    """Blur along an axis, as the planner's, then means of cells: ``[G, size]``.
 
     The last cell is smaller where the size is no multiple of it.
     """
-    whole = np.eye(size)
-    blurred: NDArray[np.float64] = gaussian_filter1d(whole, blur, axis=0) if blur > 0 else whole
+    blurred = blur_matrix(size, blur) if blur > 0 else np.eye(size)
     cells = [blurred[i : i + cell].mean(0) for i in range(0, size, cell)]
     return torch.from_numpy(np.stack(cells)).float()

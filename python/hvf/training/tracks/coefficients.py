@@ -15,8 +15,8 @@ from rich.progress import track
 from hvf.data.formats import EpisodeReader, open_episodes
 from hvf.models.frames import to_unit
 from hvf.models.latent.basis import BlurredBasis
+from hvf.threads import one_thread
 from hvf.training.tracks.kept import kept_beside
-from hvf.worlds.threads import one_thread
 
 _EPISODES_AT_ONCE = 4
 # The components are taken from so many episodes at most, and from each n-th frame of them.
