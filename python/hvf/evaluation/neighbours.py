@@ -6,7 +6,7 @@ Distances are those of the planning cost: squared L2 of colours in [0, 1], per p
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -57,7 +57,8 @@ def nearest_frames(file: EpisodeReader, episodes: Iterable[int], images: Images)
         np.full(count, -1),
         np.full(count, np.inf),
     )
-    for number, frames in _frames(file, episodes):
+    for number in episodes:
+        frames = frames_of(file, number)
         distances = frame_distances(images, frames)
         times = distances.argmin(axis=1)
         least = distances[np.arange(count), times]
@@ -86,7 +87,7 @@ def frame_distances(images: Images, frames: Images) -> NDArray[np.float64]:
     return distances.reshape(len(images), len(frames))
 
 
-def _frames(file: EpisodeReader, episodes: Iterable[int]) -> Iterator[tuple[int, Images]]:
-    for number in episodes:
-        episode = file.read(number, 1)
-        yield number, episode.frames[0, : int(episode.lengths[0]) + 1]
+def frames_of(file: EpisodeReader, number: int) -> Images:
+    """The frames of an episode, uint8 ``[length + 1, H, W, 3]``, without padding."""
+    episode = file.read(number, 1)
+    return episode.frames[0, : int(episode.lengths[0]) + 1]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hvf.data.formats import EpisodeReader
-from hvf.evaluation.neighbours import frame_distances, nearest_frames
+from hvf.evaluation.neighbours import frame_distances, frames_of, nearest_frames
 from hvf.protocols import Images
 
 
@@ -82,8 +82,7 @@ def retrieved(
         uint8 ``[count, H, W, 3]``.
     """
     found = nearest_frames(file, training, conditioning[None])
-    episode = file.read(int(found.episodes[0]), 1)
-    frames = episode.frames[0, : int(episode.lengths[0]) + 1]
+    frames = frames_of(file, int(found.episodes[0]))
     times: NDArray[np.int64] = np.random.default_rng(seed).integers(len(frames), size=count)
     return np.asarray(frames[times])
 

@@ -9,6 +9,7 @@ that a stopped report goes on.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -154,6 +155,9 @@ class _Work:
         self._episodes = [Recorded.read(file, number) for number in held_out]
         self._training = training_episodes(known)
         self._planned = config.dynamics != NONE
+        # Figures and pictures are of the same images; retrieving reads all training episodes.
+        self.drawn = functools.cache(self._draw)
+        self.retrieved = functools.cache(self._retrieve)
         if self._planned and file.action_dim != len(loaded.world.action_low):
             raise ValueError(
                 f"dynamics: takes actions of {len(loaded.world.action_low)} dimensions, those of "
@@ -179,7 +183,7 @@ class _Work:
             found["true_spread"] = spread(episode.frames)
         return found
 
-    def drawn(self, place: int) -> Images:
+    def _draw(self, place: int) -> Images:
         """Images that the generator draws for an episode's first frame."""
         generator, world = self._loaded.generator, self._loaded.world
         assert generator is not None
@@ -189,7 +193,7 @@ class _Work:
         scene = observed(world, first) if self._planned else first
         return images_of(generator.decode(scene, latents.astype(np.float32)), world)
 
-    def retrieved(self, place: int) -> Images:
+    def _retrieve(self, place: int) -> Images:
         """Frames of the most similar training episode."""
         assert self._training is not None
         first, draws = self._episodes[place].frames[0], self._config.draws

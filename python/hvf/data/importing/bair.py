@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from hvf.data.importing.example import Example, Feature, byte_strings, floats
 from hvf.data.importing.importer import Held, Import, Recording, Source, checked
-from hvf.data.importing.tfrecord import Record, find_record_files, records_of
+from hvf.data.importing.records import RecordSource
+from hvf.data.importing.tfrecord import find_record_files
 
 FRAMES = 30
 _SHAPE = (64, 64, 3)
@@ -69,37 +70,34 @@ class BairImport(Import):
         return found
 
 
-class BairSource(Source):
+class BairSource(RecordSource):
     """Episodes of BAIR's files (:class:`~hvf.data.importing.importer.Source`)."""
 
     state_names = ("endeffector_x", "endeffector_y", "endeffector_z")
 
     def __init__(self, files: Sequence[Path], cameras: tuple[str, ...]) -> None:
-        self.files = files
+        super().__init__(files)
         self.cameras = cameras
-        self._records: list[Record] = records_of(files)
         for file in {record.file.path: record.file for record in self._records}.values():
             named = _NAMED.search(file.path.name)
             if named and len(file) != (count := int(named[2]) - int(named[1]) + 1):
                 raise ValueError(f"{file.path}: has {len(file)} of {count} records, is truncated")
         self.lengths = [FRAMES - 1] * len(self._records)
 
-    def name_of(self, number: int) -> str:
-        """A recording, for errors."""
-        return str(self._records[number])
-
     def read(self, number: int) -> Recording:
         """Read an episode; see :class:`~hvf.data.importing.importer.Source`."""
-        record = self._records[number]
-        data = record.read()
-        try:
-            features = Example(data)
-            views = {camera: _frames(features, camera) for camera in self.cameras}
-            actions = _numbers(features, "action", _ACTIONS)
-            states = _numbers(features, "endeffector_pos", _STATES)
-        except ValueError as error:
-            raise ValueError(f"{record}: {error}") from error
-        return checked(record, views, actions, states.astype(np.float64))
+        views, actions, states = self._parsed(number, self._arrays)
+        return checked(self.name_of(number), views, actions, states.astype(np.float64))
+
+    def _arrays(
+        self, features: Example
+    ) -> tuple[dict[str, NDArray[np.uint8]], NDArray[np.float32], NDArray[np.float32]]:
+        """Frames by camera, actions and states."""
+        return (
+            {camera: _frames(features, camera) for camera in self.cameras},
+            _numbers(features, "action", _ACTIONS),
+            _numbers(features, "endeffector_pos", _STATES),
+        )
 
 
 def _frames(features: Mapping[str, Feature], camera: str) -> NDArray[np.uint8]:

@@ -18,7 +18,8 @@ from PIL import Image
 
 from hvf.data.importing.example import Example, Feature, byte_strings, floats
 from hvf.data.importing.importer import Held, Import, Recording, Source, checked
-from hvf.data.importing.tfrecord import Record, find_record_files, records_of
+from hvf.data.importing.records import RecordSource
+from hvf.data.importing.tfrecord import find_record_files
 
 _SPLIT = re.compile(r"-(train|val|validation|test)\.tfrecord")
 
@@ -65,7 +66,7 @@ class RldsImport(Import):
         }
 
 
-class RldsSource(Source):
+class RldsSource(RecordSource):
     """Episodes of RLDS files (:class:`~hvf.data.importing.importer.Source`).
 
     Every record is read once to know how many steps it has; images are decoded later.
@@ -78,41 +79,35 @@ class RldsSource(Source):
         actions: tuple[str, ...],
         states: tuple[str, ...],
     ) -> None:
-        self.files = files
+        super().__init__(files)
         self.cameras = tuple(name.rpartition("/")[2] for name in images)
         self._images, self._actions, self._states = images, actions, states
-        self._records: list[Record] = records_of(files)
-        self.lengths = [self._steps(record) for record in self._records]
-
-    def name_of(self, number: int) -> str:
-        """A recording, for errors."""
-        return str(self._records[number])
+        self.lengths = [self._steps(number) for number in range(len(self._records))]
 
     def read(self, number: int) -> Recording:
         """Read an episode; see :class:`~hvf.data.importing.importer.Source`."""
-        record = self._records[number]
-        data = record.read()
-        try:
-            features = Example(data)
-            views = {
-                camera: np.stack([decode_image(image) for image in byte_strings(features, name)])
-                for camera, name in zip(self.cameras, self._images, strict=True)
-            }
-            count = len(next(iter(views.values())))
-            actions = _joined(features, self._actions, count)
-            states = _joined(features, self._states, count) if self._states else None
-        except ValueError as error:
-            raise ValueError(f"{record}: {error}") from error
-        return checked(record, views, actions, None if states is None else states.astype(float))
+        views, actions, states = self._parsed(number, self._arrays)
+        return checked(
+            self.name_of(number), views, actions, None if states is None else states.astype(float)
+        )
 
-    def _steps(self, record: Record) -> int:
-        data = record.read()
-        try:
-            frames = len(byte_strings(Example(data), self._images[0]))
-        except ValueError as error:
-            raise ValueError(f"{record}: {error}") from error
+    def _arrays(
+        self, features: Example
+    ) -> tuple[dict[str, NDArray[np.uint8]], NDArray[np.float32], NDArray[np.float32] | None]:
+        """Frames by camera, actions and states."""
+        views = {
+            camera: np.stack([decode_image(image) for image in byte_strings(features, name)])
+            for camera, name in zip(self.cameras, self._images, strict=True)
+        }
+        count = len(next(iter(views.values())))
+        actions = _joined(features, self._actions, count)
+        states = _joined(features, self._states, count) if self._states else None
+        return views, actions, states
+
+    def _steps(self, number: int) -> int:
+        frames = self._parsed(number, lambda features: len(byte_strings(features, self._images[0])))
         if frames < 2:
-            raise ValueError(f"{record}: has {frames} frames, an episode needs 2")
+            raise ValueError(f"{self.name_of(number)}: has {frames} frames, an episode needs 2")
         return frames - 1
 
 
