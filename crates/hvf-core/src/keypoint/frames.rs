@@ -7,6 +7,7 @@ use ndarray::{ArrayView2, ArrayView3, ArrayView4};
 use super::cell::Cell;
 use super::cost::GoalTerms;
 use super::field::SceneField;
+use crate::planner::model::picked;
 use crate::planner::Frames;
 use crate::{Error, Result};
 
@@ -180,17 +181,12 @@ impl Frames for KeypointFrames {
     }
 
     fn select(&self, index: &[usize]) -> Result<Self> {
-        if let Some(i) = index.iter().find(|&&i| i >= self.len()) {
-            return Err(Error::invalid("index", format!("{i} is beyond {} frames", self.len())));
-        }
-        let picked = |from: &[usize]| index.iter().map(|&i| from[i]).collect();
-        Ok(Self {
-            pool: Arc::clone(&self.pool),
-            index: picked(&self.index),
-            prepared: self.prepared.as_ref().map(|prepared| Prepared {
-                terms: Arc::clone(&prepared.terms),
-                index: picked(&prepared.index),
-            }),
-        })
+        let prepared = match &self.prepared {
+            None => None,
+            Some(Prepared { terms, index: places }) => {
+                Some(Prepared { terms: Arc::clone(terms), index: picked(places, index)? })
+            }
+        };
+        Ok(Self { pool: Arc::clone(&self.pool), index: picked(&self.index, index)?, prepared })
     }
 }

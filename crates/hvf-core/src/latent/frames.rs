@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use ndarray::{ArrayView, ArrayView1, ArrayView2, ArrayView4, Dimension};
 
+use crate::planner::model::picked;
 use crate::planner::Frames;
 use crate::{Error, Result};
 
@@ -151,15 +152,7 @@ impl Frames for LatentFrames {
     }
 
     fn select(&self, index: &[usize]) -> Result<Self> {
-        let picked = index
-            .iter()
-            .map(|&i| {
-                self.index.get(i).copied().ok_or_else(|| {
-                    Error::invalid("index", format!("{i} is beyond {} frames", self.len()))
-                })
-            })
-            .collect::<Result<_>>()?;
-        Ok(Self { pool: Arc::clone(&self.pool), index: picked })
+        Ok(Self { pool: Arc::clone(&self.pool), index: picked(&self.index, index)? })
     }
 }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use ndarray::{ArrayView2, ArrayView4};
 
 use super::painter::{Painter, Start};
+use crate::planner::model::picked;
 use crate::planner::Frames;
 use crate::{Error, Result};
 
@@ -134,14 +135,6 @@ impl Frames for LayerFrames {
     }
 
     fn select(&self, index: &[usize]) -> Result<Self> {
-        let picked = index
-            .iter()
-            .map(|&i| {
-                self.index.get(i).copied().ok_or_else(|| {
-                    Error::invalid("index", format!("{i} is beyond {} frames", self.len()))
-                })
-            })
-            .collect::<Result<_>>()?;
-        Ok(Self { pool: Arc::clone(&self.pool), index: picked })
+        Ok(Self { pool: Arc::clone(&self.pool), index: picked(&self.index, index)? })
     }
 }

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::geometry::State;
 use super::render::Renderer;
+use crate::planner::model::picked;
 use crate::planner::Frames;
 use crate::{Error, Result};
 
@@ -100,14 +101,6 @@ impl Frames for MazeFrames {
     }
 
     fn select(&self, index: &[usize]) -> Result<Self> {
-        let picked = index
-            .iter()
-            .map(|&i| {
-                self.index.get(i).copied().ok_or_else(|| {
-                    Error::invalid("index", format!("{i} is beyond {} frames", self.len()))
-                })
-            })
-            .collect::<Result<_>>()?;
-        Ok(Self { pool: Arc::clone(&self.pool), index: picked })
+        Ok(Self { pool: Arc::clone(&self.pool), index: picked(&self.index, index)? })
     }
 }

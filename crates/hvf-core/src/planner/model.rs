@@ -85,6 +85,21 @@ pub trait Frames: Clone {
     fn select(&self, index: &[usize]) -> Result<Self>;
 }
 
+/// What [`Frames::select`] leaves of `places` in a pool that frames share.
+///
+/// # Errors
+/// An index beyond the batch.
+pub(crate) fn picked(places: &[usize], index: &[usize]) -> Result<Vec<usize>> {
+    index
+        .iter()
+        .map(|&i| {
+            places.get(i).copied().ok_or_else(|| {
+                Error::invalid("index", format!("{i} is beyond {} frames", places.len()))
+            })
+        })
+        .collect()
+}
+
 /// What the planner wants the costs of, one set of candidates per problem.
 ///
 /// The memory is the model's own: it may keep it or overwrite it, since the planner draws its
