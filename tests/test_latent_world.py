@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import processes
 from hvf_core import HVF, LatentFrames, LatentWorld, VisualMPC
 
 torch = pytest.importorskip("torch")
@@ -466,3 +468,47 @@ def test_nonsense_makes_frames_or_a_value_or_type_error(
     with contextlib.suppress(TypeError, ValueError):
         frames = LatentFrames(rows, targets, constants, images)
         assert len(frames) == len(frames.latents) == len(rows)
+
+
+FORKED = """
+import os, signal, sys, warnings
+warnings.simplefilter("ignore")
+import numpy as np
+import hvf_core
+layer = (np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
+last = (np.zeros((2, 2), np.float32), np.zeros(2, np.float32))
+network = {"input": layer, "blocks": [], "output": last, "activation": "relu"}
+world = hvf_core.LatentWorld([-1.0], [1.0], network)
+frames = hvf_core.LatentFrames(np.zeros((1, 2), np.float32))
+several = np.zeros((1, 2000, 3, 1), np.float32)
+calls = {
+    "rollout": lambda: world.rollout(frames, several),
+    "rollout_costs": lambda: world.rollout_costs(frames, frames, several),
+    "shared_rollout_costs": lambda: world.shared_rollout_costs(frames, frames, several[0]),
+}
+for call in calls.values():
+    call()
+child = os.fork()
+if child == 0:
+    signal.alarm(60)
+    for name, call in calls.items():
+        try:
+            call()
+        except RuntimeError as error:
+            print(name, error, flush=True)
+    os._exit(0)
+_, status = os.waitpid(child, 0)
+sys.exit(status != 0)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_calls_in_a_forked_child_say_why_they_cannot_work() -> None:
+    done = processes.run(processes.python(FORKED), check=True)
+    said = done.stdout.splitlines()
+    assert [line.split()[0] for line in said] == [
+        "rollout",
+        "rollout_costs",
+        "shared_rollout_costs",
+    ]
+    assert all("before this process was forked" in line for line in said)

@@ -11,9 +11,10 @@ use numpy::{
 use pyo3::exceptions::{PyAttributeError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::arguments::{array, indices, numbers, text, Text, Whole};
+use crate::arguments::{array, indices, instance, numbers, text, Text, Whole};
 use crate::error::to_py;
 use crate::latent_weights;
+use crate::threads::detached;
 
 /// The most numbers that one call takes actions of.
 const MAX_VALUES: usize = 1 << 28;
@@ -181,14 +182,14 @@ impl PyLatentWorld {
     fn rollout_costs<'py>(
         &self,
         py: Python<'py>,
-        starts: &PyLatentFrames,
-        goals: &PyLatentFrames,
+        starts: &Bound<'py, PyAny>,
+        goals: &Bound<'py, PyAny>,
         actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let (starts, goals) = (frames("starts", starts)?, frames("goals", goals)?);
         let actions = array("actions", actions, "float32 [B, D, H, A]")?;
         let actions = owned(actions.as_array())?;
-        let costs = py
-            .detach(|| self.inner.rollout_costs(&starts.inner, &goals.inner, actions.into()))
+        let costs = detached(py, || self.inner.rollout_costs(starts, goals, actions.into()))?
             .map_err(to_py)?;
         Ok(costs.into_pyarray(py))
     }
@@ -198,14 +199,14 @@ impl PyLatentWorld {
     fn shared_rollout_costs<'py>(
         &self,
         py: Python<'py>,
-        start: &PyLatentFrames,
-        goals: &PyLatentFrames,
+        start: &Bound<'py, PyAny>,
+        goals: &Bound<'py, PyAny>,
         actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let (start, goals) = (frames("start", start)?, frames("goals", goals)?);
         let actions: PyReadonlyArray3<'_, f32> = array("actions", actions, "float32 [D, H, A]")?;
         let actions = owned(actions.as_array())?;
-        let costs = py
-            .detach(|| self.inner.shared_costs(&start.inner, &goals.inner, actions.view()))
+        let costs = detached(py, || self.inner.shared_costs(start, goals, actions.view()))?
             .map_err(to_py)?;
         Ok(costs.into_pyarray(py))
     }
@@ -214,13 +215,13 @@ impl PyLatentWorld {
     fn rollout<'py>(
         &self,
         py: Python<'py>,
-        starts: &PyLatentFrames,
+        starts: &Bound<'py, PyAny>,
         actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray4<f32>>> {
+        let starts = frames("starts", starts)?;
         let actions = array("actions", actions, "float32 [B, D, H, A]")?;
         let actions: Array4<f32> = owned(actions.as_array())?;
-        let paths =
-            py.detach(|| self.inner.rollout(&starts.inner, actions.view())).map_err(to_py)?;
+        let paths = detached(py, || self.inner.rollout(starts, actions.view()))?.map_err(to_py)?;
         Ok(paths.into_pyarray(py))
     }
 
@@ -228,6 +229,10 @@ impl PyLatentWorld {
         let (latent, dim) = (self.inner.latent_dim(), self.inner.action_space().dim());
         format!("LatentWorld(latents of {latent}, actions of {dim})")
     }
+}
+
+fn frames<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a LatentFrames> {
+    Ok(&instance::<PyLatentFrames>(argument, object)?.get().inner)
 }
 
 /// A copy of actions, if they are not more than any memory holds (arrays may repeat themselves).
