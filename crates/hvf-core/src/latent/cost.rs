@@ -62,7 +62,8 @@ enum ReaderRoom {
     Network(ResidualRoom),
 }
 
-/// Points of goals, [`GOALS`] together: `[goals / GOALS][Q][GOALS]`, zeros beyond the last.
+/// Points of goals, [`GOALS`] together: `[goals / GOALS][Q][GOALS]`, zeros beyond the last; and
+/// their constants.
 #[derive(Debug)]
 pub(super) struct Points {
     values: Vec<[f32; GOALS]>,
@@ -139,6 +140,11 @@ impl LatentCost {
         self.latent_dim
     }
 
+    /// Length of a point, `Q`.
+    pub(super) fn point_dim(&self) -> usize {
+        self.point_dim
+    }
+
     /// Multiply-adds that reading out one latent takes.
     pub fn multiply_adds(&self) -> usize {
         match &self.reader {
@@ -187,39 +193,29 @@ impl LatentCost {
         Ok(())
     }
 
-    /// Points of a block of goals, that of lane `l` being frame `which(l)`.
-    pub(super) fn goal_block(
-        &self,
-        goals: &LatentFrames,
-        which: impl Fn(usize) -> usize,
-        room: &mut Room,
-    ) -> Vec<Lanes> {
-        let length = goals.target_dim().unwrap_or(self.latent_dim);
-        let mut block = vec![[0.0; LANES]; length];
-        for lane in 0..LANES {
-            let goal = which(lane);
-            let row = goals.target(goal).unwrap_or_else(|| goals.latent(goal));
-            for (to, from) in block.iter_mut().zip(row) {
-                to[lane] = *from;
-            }
-        }
-        match goals.target_dim() {
-            Some(_) => scale(self, &mut block),
-            None => block = self.points(&block, room).to_vec(),
-        }
-        block
-    }
-
-    /// All frames as goals of one set of candidates.
+    /// All frames as goals.
     pub(super) fn goals(&self, frames: &LatentFrames) -> Points {
         let (count, length, mut room) = (frames.len(), self.point_dim, self.room());
         let mut values = vec![[0.0; GOALS]; count.div_ceil(GOALS) * length];
+        let mut block = vec![[0.0; LANES]; frames.target_dim().unwrap_or(self.latent_dim)];
         for first in (0..count).step_by(LANES) {
-            let which = |lane: usize| (first + lane).min(count - 1);
-            let points = self.goal_block(frames, which, &mut room);
+            for lane in 0..LANES {
+                let goal = (first + lane).min(count - 1);
+                let row = frames.target(goal).unwrap_or_else(|| frames.latent(goal));
+                for (to, from) in block.iter_mut().zip(row) {
+                    to[lane] = *from;
+                }
+            }
+            let points = match frames.target_dim() {
+                None => self.points(&block, &mut room),
+                Some(_) => {
+                    scale(self, &mut block);
+                    &block
+                }
+            };
             for goal in first..count.min(first + LANES) {
                 let group = &mut values[goal / GOALS * length..][..length];
-                for (to, from) in group.iter_mut().zip(&points) {
+                for (to, from) in group.iter_mut().zip(points) {
                     to[goal % GOALS] = from[goal - first];
                 }
             }
@@ -230,6 +226,17 @@ impl LatentCost {
 }
 
 impl Points {
+    /// A block of goals, that of lane `l` being `which(l)`.
+    pub(super) fn block(&self, which: impl Fn(usize) -> usize, block: &mut [Lanes]) {
+        for lane in 0..LANES {
+            let goal = which(lane);
+            let group = &self.values[goal / GOALS * self.length..];
+            for (to, from) in block.iter_mut().zip(group) {
+                to[lane] = from[goal % GOALS];
+            }
+        }
+    }
+
     /// Hands the costs of a block of points to `visit(goal, costs)`, goal by goal.
     pub(super) fn costs(&self, points: &[Lanes], mut visit: impl FnMut(usize, &Lanes)) {
         for (group, values) in self.values.chunks_exact(self.length).enumerate() {
@@ -272,6 +279,11 @@ fn group_distances(points: &[Lanes], goals: &[[f32; GOALS]]) -> [Lanes; GOALS] {
 
 #[multiversion(targets("x86_64+avx512f+fma", "x86_64+avx2+fma"))]
 fn points<'r>(cost: &LatentCost, latent: &'r [Lanes], room: &'r mut Room) -> &'r [Lanes] {
+    read_out(cost, latent, room)
+}
+
+#[inline(always)]
+fn read_out<'r>(cost: &LatentCost, latent: &'r [Lanes], room: &'r mut Room) -> &'r [Lanes] {
     let read = match (&cost.reader, &mut room.reader) {
         (Reader::Latent, _) => latent,
         (Reader::Matrix(layer), ReaderRoom::Matrix(room)) => layer.apply(latent, false, room),
@@ -291,5 +303,33 @@ fn points<'r>(cost: &LatentCost, latent: &'r [Lanes], room: &'r mut Room) -> &'r
 fn scale(cost: &LatentCost, points: &mut [Lanes]) {
     for (point, factor) in points.iter_mut().zip(cost.factors.iter().flatten()) {
         *point = point.map(|x| x * factor);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::nn::toys::{block, Draws, ResidualToy};
+    use crate::nn::Activation;
+
+    #[test]
+    fn a_processor_without_vectors_reads_the_same_bits() {
+        let mut draws = Draws::new(1);
+        let mut toy = ResidualToy::new(&mut draws, 9, 30, &[11], 7);
+        toy.activation = Activation::Sin;
+        let matrix = draws.matrix(20, 9, 1.0);
+        let weights = Array1::from_shape_simple_fn(7, || draws.between(0.1, 1.0));
+        for (readout, weights) in [
+            (Readout::Network(toy.weights()), Some(weights.view())),
+            (Readout::Matrix(matrix.view()), None),
+        ] {
+            let cost = LatentCost::new(9, &readout, weights).unwrap();
+            let latent = block(&mut draws, 9, 2.0);
+            let (mut one, mut other) = (cost.room(), cost.room());
+            let found = points(&cost, &latent, &mut one);
+            assert_eq!(found, read_out(&cost, &latent, &mut other));
+            assert_eq!(found.len(), cost.point_dim());
+        }
     }
 }

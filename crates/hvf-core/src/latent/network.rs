@@ -1,7 +1,7 @@
 //! How a latent moves on by an action.
 
 use multiversion::multiversion;
-use ndarray::ArrayView1;
+use ndarray::{Array1, ArrayView1, Axis};
 
 use crate::lanes::{Lanes, LANES};
 use crate::nn::{GruCell, GruRoom, GruWeights, ResidualMlp, ResidualRoom, ResidualWeights};
@@ -13,8 +13,8 @@ pub struct Dynamics(Kind);
 
 #[derive(Clone, Debug)]
 enum Kind {
-    /// The change of the latent, and what each of its numbers is multiplied by.
-    Mlp(ResidualMlp, Vec<f32>),
+    /// Gives the change of the latent.
+    Mlp(ResidualMlp),
     /// The latent is the state of the cell.
     Gru(GruCell),
 }
@@ -59,9 +59,16 @@ impl Dynamics {
         if !scale.iter().all(|x| x.is_finite()) {
             return Err(Error::invalid("scale", "must be finite"));
         }
-        let network = ResidualMlp::new(weights, inputs, latent)?;
-        let scale = scale.iter().copied().cycle().take(latent).collect();
-        Ok(Self(Kind::Mlp(network, scale)))
+        // Checks the shapes that the scale is multiplied into.
+        ResidualMlp::check(weights, inputs, latent)?;
+        let scale: Array1<f32> = scale.iter().copied().cycle().take(latent).collect();
+        let weight = &weights.output.0 * &scale.view().insert_axis(Axis(1));
+        let bias = &weights.output.1 * &scale;
+        if !weight.iter().chain(&bias).all(|x| x.is_finite()) {
+            return Err(Error::invalid("scale", "makes weights of the output that are not finite"));
+        }
+        let scaled = ResidualWeights { output: (weight.view(), bias.view()), ..weights.clone() };
+        Ok(Self(Kind::Mlp(ResidualMlp::new(&scaled, inputs, latent)?)))
     }
 
     /// `GRU(u, z)`: a cell whose state is the latent and whose input is the action, with its box
@@ -86,7 +93,7 @@ impl Dynamics {
     /// Length of a latent, `Z`.
     pub fn latent_dim(&self) -> usize {
         match &self.0 {
-            Kind::Mlp(network, _) => network.outputs(),
+            Kind::Mlp(network) => network.outputs(),
             Kind::Gru(cell) => cell.size(),
         }
     }
@@ -94,7 +101,7 @@ impl Dynamics {
     /// Action dimensions, `A`.
     pub fn action_dim(&self) -> usize {
         match &self.0 {
-            Kind::Mlp(network, _) => network.inputs() - network.outputs(),
+            Kind::Mlp(network) => network.inputs() - network.outputs(),
             Kind::Gru(cell) => cell.inputs(),
         }
     }
@@ -102,7 +109,7 @@ impl Dynamics {
     /// Multiply-adds that one step of one candidate takes.
     pub fn multiply_adds(&self) -> usize {
         match &self.0 {
-            Kind::Mlp(network, _) => network.multiply_adds(),
+            Kind::Mlp(network) => network.multiply_adds(),
             Kind::Gru(cell) => cell.multiply_adds(),
         }
     }
@@ -110,9 +117,7 @@ impl Dynamics {
     /// Room for one block.
     pub(super) fn room(&self) -> Room {
         Room(match &self.0 {
-            Kind::Mlp(network, _) => {
-                Inner::Mlp(vec![[0.0; LANES]; network.inputs()], network.room())
-            }
+            Kind::Mlp(network) => Inner::Mlp(vec![[0.0; LANES]; network.inputs()], network.room()),
             Kind::Gru(cell) => Inner::Gru(cell.room()),
         })
     }
@@ -131,15 +136,14 @@ fn advance(dynamics: &Dynamics, latent: &mut [Lanes], action: &[Lanes], room: &m
 #[inline(always)]
 fn moved(dynamics: &Dynamics, latent: &mut [Lanes], action: &[Lanes], room: &mut Room) {
     match (&dynamics.0, &mut room.0) {
-        (Kind::Mlp(network, scale), Inner::Mlp(inputs, room)) => {
+        (Kind::Mlp(network), Inner::Mlp(inputs, room)) => {
             let (before, by) = inputs.split_at_mut(latent.len());
             before.copy_from_slice(latent);
             by.copy_from_slice(action);
             let change = network.apply(inputs, room);
-            for ((latent, change), scale) in latent.iter_mut().zip(change).zip(scale) {
-                for lane in 0..LANES {
-                    latent[lane] = scale.mul_add(change[lane], latent[lane]);
-                }
+            // Flat, or the compiler would gather numbers of several units into a register.
+            for (z, change) in latent.as_flattened_mut().iter_mut().zip(change.as_flattened()) {
+                *z += change;
             }
         }
         (Kind::Gru(cell), Inner::Gru(room)) => cell.advance(action, latent, room),
@@ -150,26 +154,41 @@ fn moved(dynamics: &Dynamics, latent: &mut [Lanes], action: &[Lanes], room: &mut
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use ndarray::{Array1, Array2};
+    use ndarray::Array2;
 
     use super::super::toys::{gru, mlp};
     use super::*;
     use crate::nn::toys::{block, Draws, GruToy, ResidualToy};
 
+    /// As on a processor with AVX2 and nothing wider.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn narrow(dynamics: &Dynamics, latent: &mut [Lanes], action: &[Lanes], room: &mut Room) {
+        moved(dynamics, latent, action, room);
+    }
+
     #[test]
-    fn a_processor_without_vectors_computes_the_same_bits() {
+    fn every_processor_computes_the_same_bits() {
         let mut draws = Draws::new(5);
         for dynamics in [mlp(1, 12, 2, 40, 2), mlp(2, 7, 3, 13, 0), gru(3, 19, 2)] {
             let before = block(&mut draws, dynamics.latent_dim(), 2.0);
             let action = block(&mut draws, dynamics.action_dim(), 1.0);
-            let (mut one, mut other) = (before.clone(), before.clone());
-            let (mut fast, mut slow) = (dynamics.room(), dynamics.room());
-            for _ in 0..4 {
-                advance(&dynamics, &mut one, &action, &mut fast);
-                moved(&dynamics, &mut other, &action, &mut slow);
-                assert_eq!(one, other);
+            let after = |advance: &dyn Fn(&mut [Lanes], &mut Room)| {
+                let (mut latent, mut room) = (before.clone(), dynamics.room());
+                (0..4).for_each(|_| advance(&mut latent, &mut room));
+                latent
+            };
+            let widest = after(&|latent, room| advance(&dynamics, latent, &action, room));
+            assert_ne!(widest, before);
+            assert_eq!(widest, after(&|latent, room| moved(&dynamics, latent, &action, room)));
+            #[cfg(target_arch = "x86_64")]
+            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+                let narrow = after(&|latent, room| {
+                    // SAFETY: the processor has what the function needs.
+                    unsafe { narrow(&dynamics, latent, &action, room) }
+                });
+                assert_eq!(widest, narrow);
             }
-            assert_ne!(one, before);
         }
     }
 

@@ -319,6 +319,7 @@ impl WorldModel for LatentWorld {
         let steps = self.check_actions(actions.view(), starts.len())?;
         self.check_actions(actions.view(), goals.len())?;
         let (problems, candidates, ..) = actions.dim();
+        let points = self.cost.goals(goals);
         let mut costs = vec![self.over_horizon.start(); problems * candidates];
         let last = costs.len().saturating_sub(1);
         costs
@@ -326,17 +327,17 @@ impl WorldModel for LatentWorld {
             .with_min_len(self.blocks_per_task(steps))
             .enumerate()
             .for_each_init(
-                || self.room(),
-                |room, (block, out)| {
+                || (self.room(), vec![[0.0; LANES]; self.cost.point_dim()]),
+                |(room, aims), (block, out)| {
                     let of = |lane: usize| {
                         let row = (block * LANES + lane).min(last);
                         (row / candidates, row % candidates)
                     };
-                    let points = self.cost.goal_block(goals, |lane| of(lane).0, &mut room.cost);
+                    points.block(|lane| of(lane).0, aims);
                     self.roll(starts, actions.view(), of, room, |step, latent, room| {
                         if self.over_horizon.counts(step, steps) {
                             let found = self.cost.points(latent, room);
-                            let sums = cost::distances(found, &points);
+                            let sums = cost::distances(found, aims);
                             for (lane, tally) in out.iter_mut().enumerate() {
                                 let cost = sums[lane] + goals.constant(of(lane).0);
                                 *tally = self.over_horizon.add(*tally, cost);

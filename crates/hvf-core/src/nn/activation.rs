@@ -1,6 +1,6 @@
 //! Nonlinear functions of lanes: the same bits on every machine, NaN for NaN.
 
-use crate::lanes::{Lanes, LANES};
+use crate::lanes::Lanes;
 use crate::{Error, Result};
 
 /// What follows the first layer of a network.
@@ -40,9 +40,10 @@ impl Activation {
     /// Of every number.
     #[inline(always)]
     pub(super) fn apply(self, units: &mut [Lanes]) {
+        let each = units.as_flattened_mut().iter_mut();
         match self {
-            Self::Relu => units.iter_mut().for_each(|unit| *unit = map(unit, rectified)),
-            Self::Sin => units.iter_mut().for_each(|unit| *unit = map(unit, sin)),
+            Self::Relu => each.for_each(|unit| *unit = rectified(*unit)),
+            Self::Sin => each.for_each(|unit| *unit = sin(*unit)),
         }
     }
 }
@@ -117,16 +118,6 @@ pub(crate) fn sin(value: f32) -> f32 {
 #[inline(always)]
 pub(crate) fn sigmoid(value: f32) -> f32 {
     tanh(0.5 * value).mul_add(0.5, 0.5)
-}
-
-/// `function` of each lane.
-#[inline(always)]
-pub(crate) fn map(lanes: &Lanes, function: impl Fn(f32) -> f32) -> Lanes {
-    let mut out = [0.0; LANES];
-    for lane in 0..LANES {
-        out[lane] = function(lanes[lane]);
-    }
-    out
 }
 
 #[cfg(test)]

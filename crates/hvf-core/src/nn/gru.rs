@@ -2,9 +2,9 @@
 
 use ndarray::{ArrayView1, ArrayView2};
 
-use super::activation::{map, sigmoid, tanh};
+use super::activation::{sigmoid, tanh};
 use super::check;
-use crate::lanes::{Lanes, Layer, LANES};
+use crate::lanes::{Lanes, Layer};
 use crate::{Error, Result};
 
 /// Weights of a [`GruCell`], named and laid out as `torch.nn.GRUCell` does: the rows of the reset
@@ -103,30 +103,19 @@ impl GruCell {
         assert_eq!(state.len(), self.size, "a state of the cell's size");
         let input = self.input.apply(inputs, false, &mut room.input);
         let before = self.state.apply(state, false, &mut room.state);
-        for (i, h) in state.iter_mut().enumerate() {
-            let at = |gate: usize| (&input[gate * self.size + i], &before[gate * self.size + i]);
-            let [reset, update, new] = [at(0), at(1), at(2)];
-            let reset = map(&sum(reset), sigmoid);
-            let update = map(&sum(update), sigmoid);
-            let mut candidate = [0.0; LANES];
-            for lane in 0..LANES {
-                candidate[lane] = reset[lane].mul_add(new.1[lane], new.0[lane]);
-            }
-            let candidate = map(&candidate, tanh);
-            for lane in 0..LANES {
-                h[lane] = update[lane].mul_add(h[lane] - candidate[lane], candidate[lane]);
-            }
+        let gate = |number: usize| {
+            let units = number * self.size..(number + 1) * self.size;
+            (input[units.clone()].as_flattened(), before[units].as_flattened())
+        };
+        let [reset, update, new] = [gate(0), gate(1), gate(2)];
+        // Flat, or the compiler would gather numbers of several units into a register.
+        for (i, h) in state.as_flattened_mut().iter_mut().enumerate() {
+            let reset = sigmoid(reset.0[i] + reset.1[i]);
+            let update = sigmoid(update.0[i] + update.1[i]);
+            let candidate = tanh(reset.mul_add(new.1[i], new.0[i]));
+            *h = update.mul_add(*h - candidate, candidate);
         }
     }
-}
-
-#[inline(always)]
-fn sum((a, b): (&Lanes, &Lanes)) -> Lanes {
-    let mut sum = [0.0; LANES];
-    for lane in 0..LANES {
-        sum[lane] = a[lane] + b[lane];
-    }
-    sum
 }
 
 #[cfg(test)]
@@ -134,6 +123,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::super::toys::{block, lane, Draws, GruToy};
     use super::*;
+    use crate::lanes::LANES;
 
     #[test]
     fn the_cell_is_its_formula() {

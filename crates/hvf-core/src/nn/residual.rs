@@ -2,7 +2,7 @@
 
 use super::activation::rectified;
 use super::{check, Activation, Linear};
-use crate::lanes::{Lanes, Layer, LANES};
+use crate::lanes::{Lanes, Layer};
 use crate::Result;
 
 /// Weights of a [`ResidualMlp`].
@@ -42,12 +42,12 @@ pub struct ResidualRoom {
 }
 
 impl ResidualMlp {
-    /// Packs `weights` of a network that takes `inputs` numbers and gives `outputs`.
+    /// Checks `weights` of a network that takes `inputs` numbers and gives `outputs`.
     ///
     /// # Errors
     /// Shapes that do not fit each other, or weights that are not finite; the error names the field
     /// of [`ResidualWeights`].
-    pub fn new(weights: &ResidualWeights<'_>, inputs: usize, outputs: usize) -> Result<Self> {
+    pub fn check(weights: &ResidualWeights<'_>, inputs: usize, outputs: usize) -> Result<()> {
         let width = check("input", "", &weights.input, inputs, None)?;
         for (number, [first, second]) in weights.blocks.iter().enumerate() {
             let place = |layer| format!("block {number}, layer {layer}: ");
@@ -55,6 +55,15 @@ impl ResidualMlp {
             check("blocks", &place(1), second, inside, Some(width))?;
         }
         check("output", "", &weights.output, width, Some(outputs))?;
+        Ok(())
+    }
+
+    /// Packs `weights` of a network that takes `inputs` numbers and gives `outputs`.
+    ///
+    /// # Errors
+    /// As [`check`](Self::check).
+    pub fn new(weights: &ResidualWeights<'_>, inputs: usize, outputs: usize) -> Result<Self> {
+        Self::check(weights, inputs, outputs)?;
         let pack = |(weights, bias): &Linear<'_>| Layer::new(*weights, *bias);
         let layers = weights.blocks.iter().flatten().chain([&weights.input, &weights.output]);
         Ok(Self {
@@ -106,10 +115,10 @@ impl ResidualMlp {
             let inner = first.apply(hidden, false, inside).len();
             Activation::Relu.apply(&mut inside[..inner]);
             let change = second.apply(&inside[..inner], false, change);
-            for (hidden, change) in hidden.iter_mut().zip(change) {
-                for lane in 0..LANES {
-                    hidden[lane] = rectified(hidden[lane] + change[lane]);
-                }
+            // Flat, or the compiler would gather numbers of several units into a register.
+            let change = change.as_flattened();
+            for (hidden, change) in hidden.as_flattened_mut().iter_mut().zip(change) {
+                *hidden = rectified(*hidden + change);
             }
         }
         self.output.apply(hidden, false, &mut room.output)
@@ -121,6 +130,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::super::toys::{block, lane, Draws, ResidualToy};
     use super::*;
+    use crate::lanes::LANES;
 
     #[test]
     fn the_network_is_its_formula() {
