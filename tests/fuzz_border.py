@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
@@ -60,7 +61,13 @@ def child(calls: int, first_seed: int, note: Path) -> None:
                 last.seek(0)
                 last.write(f"{number}: {name}".ljust(200).encode(errors="replace"))
                 faulthandler.dump_traceback_later(SECONDS, exit=True)
-                returned += nonsense.make(name, call)
+                try:
+                    returned += nonsense.make(name, call)
+                except AssertionError:
+                    # At once: Hypothesis would make the call again, and print what is in it.
+                    traceback.print_exc()
+                    sys.stderr.flush()
+                    os._exit(1)
                 faulthandler.cancel_dump_traceback_later()
                 made += 1
 

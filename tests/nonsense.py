@@ -31,6 +31,9 @@ def problem(error: BaseException) -> str | None:
     """
     if isinstance(error, (ValueError, TypeError, MemoryError, IndexError, OwnError)):
         return None
+    # NumPy's own, of frames that are an array of more axes than it can index.
+    if isinstance(error, RuntimeError) and "dimensions but the array has" in str(error):
+        return None
     return f"{type(error).__module__}.{type(error).__qualname__}: {error}"
 
 
@@ -210,7 +213,9 @@ def arrays(draw: Draw, *, near: np.ndarray | None = None) -> Any:
     elif how == 5 and array.ndim:
         array = array[::2]
     elif how == 6 and array.ndim and array.shape[0]:
-        array = np.broadcast_to(array[:1], (2**50, *array.shape[1:]))
+        # NumPy counts an axis without items as one.
+        item = int(np.prod([max(n, 1) for n in array.shape[1:]])) * max(array.itemsize, 1)
+        array = np.broadcast_to(array[:1], (2**56 // item, *array.shape[1:]))
     elif how == 7 and array.ndim < 8:
         array = array.reshape(
             (1,) * (40 if np.lib.NumpyVersion(np.__version__) >= "2.0.0" else 20) + array.shape

@@ -157,6 +157,19 @@ def test_what_a_length_raises_comes_back_as_it_is() -> None:
         MPC.plan_batch(Point(), Length(TypeError), [0])
     with pytest.raises(ValueError, match=r"should return >= 0"):
         MPC.plan_batch(Point(), Length(-1), [0])
+    world = Point()
+    world.uses_seeds = Length(2**70)  # type: ignore[attr-defined]
+    with pytest.raises(TypeError, match=r"^model\.uses_seeds: expected True or False"):
+        MPC.plan_batch(world, [0], [0])
+    for raised in (KeyboardInterrupt, nonsense.OwnError):
+        with pytest.raises(raised):
+            MAZE_FRAMES[Length(raised)]
+
+
+def test_a_sequence_of_seeds_is_not_asked_for_its_length() -> None:
+    """Asking would print what that raises, and go on."""
+    with pytest.raises(ValueError, match=r"^seeds: must be as many as goals \(1\)"):
+        MPC.plan_batch(Point(), [0], [0], seeds=Length(KeyboardInterrupt))
 
 
 @pytest.mark.parametrize("endless", [Length(3), [Length(2), 1.0], range(2**62), Length(2**60)])

@@ -2,7 +2,7 @@
 
 use ndarray::{Dimension, Ix1};
 use numpy::{PyUntypedArray, PyUntypedArrayMethods};
-use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyIndexError, PyOverflowError, PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::PyString;
@@ -27,13 +27,7 @@ pub fn indices(index: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
     }
     let several = match index.cast::<PyUntypedArray>() {
         Ok(array) => array.ndim() > 0,
-        Err(_) => {
-            let py = index.py();
-            let is_sequence =
-                index.hasattr(intern!(py, "__len__"))? && !index.is_instance_of::<PyString>();
-            is_sequence && !index.hasattr(intern!(py, "__index__"))?
-                || index.hasattr(intern!(py, "__array__"))? && index.len().is_ok()
-        }
+        Err(_) => has_items(index)?,
     };
     if !several {
         let one = index.extract::<Whole>()?.get("index").map_err(|exception| match exception
@@ -56,6 +50,21 @@ pub fn indices(index: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
         'i' => all_places(numbers::<i64, Ix1>("index", many, EXPECTED)?, count),
         'u' => all_places(numbers::<u64, Ix1>("index", many, EXPECTED)?, count),
         _ => Err(PyTypeError::new_err(super::unfit("index", EXPECTED, many))),
+    }
+}
+
+/// Whether an object is a sequence of indices rather than one.
+fn has_items(index: &Bound<'_, PyAny>) -> PyResult<bool> {
+    let py = index.py();
+    if index.is_instance_of::<PyString>() || !index.hasattr(intern!(py, "__len__"))? {
+        return Ok(false);
+    }
+    // A tensor without axes has a length, but only an error for it.
+    match index.len() {
+        Ok(_) => Ok(true),
+        Err(exception) if exception.is_instance_of::<PyOverflowError>(py) => Ok(true),
+        Err(exception) if super::is_no_such_thing(py, &exception) => Ok(false),
+        Err(exception) => Err(exception),
     }
 }
 
@@ -98,7 +107,12 @@ pub fn items<'py>(
             false => exception,
         }
     })?;
-    iterator.take(most.saturating_add(1)).collect()
+    // Not collected: that asks for the length, and prints what the asking raises.
+    let mut items = Vec::new();
+    for item in iterator.take(most.saturating_add(1)) {
+        items.push(item?);
+    }
+    Ok(items)
 }
 
 /// `N` whole numbers.

@@ -15,7 +15,7 @@ use pyo3::types::{PyDict, PyString, PyTuple};
 use super::border::{as_images, images_of, is_native_frames, Axes, Border};
 use super::raised;
 use super::returned_costs::read_costs;
-use crate::arguments::{describe, numbers, Whole};
+use crate::arguments::{describe, numbers, wrong_type, Whole};
 use crate::error::to_py;
 
 /// Frames of a Python world: any object with `len()` that an int64 array indexes.
@@ -121,7 +121,13 @@ impl PythonWorld {
             actions,
             max_candidates,
             uses_seeds: match object.getattr_opt(intern!(py, "uses_seeds"))? {
-                Some(uses) => uses.is_truthy()?,
+                Some(uses) => uses.is_truthy().map_err(|exception| {
+                    // Of an object whose truth is its length.
+                    match exception.is_instance_of::<PyOverflowError>(py) {
+                        true => wrong_type("model.uses_seeds", "True or False", &uses),
+                        false => exception,
+                    }
+                })?,
                 None => false,
             },
             prepares: has(intern!(py, "prepare"))?,
