@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import io
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ from hvf.training.recipes.layers_generator import StatePairs, validate_layers_ge
 from hvf.training.tracks.layers import LayerTracks
 from hvf.worlds.layers import LayerWorld
 from hvf.worlds.layers_subgoals import StateSubgoals
+from hvf_core import LayerFrames
 from layered_desk import SIZE, random_dynamics
 
 EPISODES, STEPS = 40, 30
@@ -152,14 +155,69 @@ def test_the_loss_is_the_negative_evidence_lower_bound() -> None:
     assert float(found) == pytest.approx(kl + distortion, rel=1e-4)
 
 
+def test_surprise_is_the_negative_log_likelihood() -> None:
+    """Against the integral over the one latent, summed on a grid."""
+    torch.manual_seed(11)
+    model = LayerGenerator(
+        dataclasses.replace(
+            SMALL, latent_dim=1, hand_precision=4.0, slider_precision=1.0, part_precision=9.0,
+            presence_precision=1.0,
+        )
+    ).requires_grad_(False)  # fmt: skip
+    before, after = scenes(12, 30), scenes(13, 30)
+    grid = torch.linspace(-6, 6, 1201, dtype=torch.float64)
+    likelihood = np.zeros(30)
+    for latent in grid:
+        rebuilt = model.rebuild(latent.float().expand(30, 1), before)
+        error = ((rebuilt - after).double().numpy()) ** 2
+        there = after[:, 7::3].double().numpy()
+        distortion = error[:, :3].sum(axis=1) / 4.0**2 + error[:, 3:5].sum(axis=1)
+        distortion += ((error[:, 5::3] + error[:, 6::3]) * there / 9.0**2).sum(axis=1)
+        distortion += error[:, 7::3].sum(axis=1)
+        density = np.exp(-0.5 * float(latent) ** 2) / np.sqrt(2 * np.pi)
+        likelihood += np.exp(-0.5 * distortion) * density * float(grid[1] - grid[0])
+    found = model.surprise(after, before, draws=4000)
+    np.testing.assert_allclose(found.numpy(), -np.log(likelihood), atol=0.05)
+
+
+def test_a_trained_generator_takes_two_changes_at_once_for_unlikely() -> None:
+    """It has seen the door open or a square move, and never both."""
+    model, first = half_trained()
+    door, square, both = first.clone(), first.clone(), first.clone()
+    for states in (door, both):
+        states[:, 3] = 1 - states[:, 3]
+    for states in (square, both):
+        states[:, 6] += 6.0
+    one = torch.maximum(model.surprise(door, first), model.surprise(square, first))
+    assert float((model.surprise(both, first) > one + 1).float().mean()) > 0.9
+    assert float((model.surprise(both, first) - one).median()) > 8
+
+
 def test_a_trained_generator_rebuilds_what_it_is_shown() -> None:
+    model, first = half_trained()
+    later = first.clone()
+    later[::2, 6] += 6.0
+    later[1::2, 3] = 1 - later[1::2, 3]
+    latents, _ = model.encode(later, first)
+    drawn = model.decode(latents, first)
+    # A square and a door that moved are where they went, the others exactly where they were.
+    assert float((drawn[::2, 6] - later[::2, 6]).abs().mean()) < 1.5
+    still = (drawn[:, 8:10] == first[:, 8:10]).all(dim=1).float().mean()
+    assert float(still) > 0.8
+
+
+@functools.cache
+def half_trained() -> tuple[LayerGenerator, Tensor]:
+    """A generator that learned two changes, each in half of all pairs, and the scenes.
+
+    A square goes to the right in some; the door opens or closes in the others.
+    """
     torch.manual_seed(6)
     model = LayerGenerator(dataclasses.replace(SMALL, hidden=48, hand_precision=1.0))
     optimiser = torch.optim.Adam(model.parameters(), 6e-3)
     first = scenes(7, 300)
     first[:, 7::3] = 1
     later = first.clone()
-    # In half of all pairs one square goes to the right; the door opens in the others.
     later[::2, 6] += 6.0
     later[1::2, 3] = 1 - later[1::2, 3]
     losses = []
@@ -171,31 +229,46 @@ def test_a_trained_generator_rebuilds_what_it_is_shown() -> None:
         optimiser.step()
         losses.append(float(loss.detach()))
     assert losses[-1] < 0.1 * losses[0]
-    with torch.inference_mode():
-        latents, _ = model.encode(later, first)
-        drawn = model.decode(latents, first)
-    # A square and a door that moved are where they went, the others exactly where they were.
-    assert float((drawn[::2, 6] - later[::2, 6]).abs().mean()) < 1.5
-    still = (drawn[:, 8:10] == first[:, 8:10]).all(dim=1).float().mean()
-    assert float(still) > 0.8
+    return model.requires_grad_(False), first
 
 
 # ---- pairs of states ---------------------------------------------------------------------------
 
 
+def parts_of(states: np.ndarray) -> np.ndarray:
+    """Row, column and presence of each part, in an order that does not depend on theirs."""
+    parts = states[..., 5:].reshape(*states.shape[:-1], 3, 3)
+    return np.take_along_axis(parts, np.lexsort(parts.T, axis=0).T[..., None], axis=-2)
+
+
 def places_of(tracks: LayerTracks, states: Tensor) -> list[tuple[int, int]]:
-    """Episodes and frames that these states are those of."""
+    """Episodes and frames that these states are those of, but for the order of the parts."""
     places = [(int(state[0]), int(state[1])) for state in states]
     for place, state in zip(places, states.numpy(), strict=True):
-        np.testing.assert_array_equal(tracks.truth[place], state)
+        np.testing.assert_array_equal(tracks.truth[place][:5], state[:5])
+        np.testing.assert_array_equal(parts_of(tracks.truth[place]), parts_of(state))
     return places
 
 
-def test_pairs_are_from_one_episode_and_in_half_of_them_something_is_pushed(
+def kind_of(tracks: LayerTracks, episode: int, first: int, later: int) -> int:
+    """What changes between two frames, the slow way."""
+    before, after = tracks.truth[episode, first], tracks.truth[episode, later]
+    known, then = tracks.known[episode, first], tracks.known[episode, later]
+    kind = int(any(abs(after[i] - before[i]) > 0.05 for i in (3, 4)))
+    for part in range(3):
+        at = slice(5 + 3 * part, 7 + 3 * part)
+        if known[part] == then[part] == 2 and np.linalg.norm(after[at] - before[at]) > 1.5:
+            kind = max(kind, 2)
+        if known[part] == 2 and then[part] == 1:
+            kind = 3
+    return kind
+
+
+def test_pairs_are_of_one_episode_and_every_kind_of_change_has_its_share(
     tracks: LayerTracks,
 ) -> None:
-    pushed = set(map(tuple, tracks.pushed(15).tolist()))
-    for step in range(3):
+    kinds, apart = [], []
+    for step in range(20):
         batch = StatePairs(tracks, 40, seed=1).batch(step)
         again = StatePairs(tracks, 40, seed=1).batch(step)
         assert all(torch.equal(batch[name], again[name]) for name in ("scenes", "states"))
@@ -204,10 +277,26 @@ def test_pairs_are_from_one_episode_and_in_half_of_them_something_is_pushed(
             assert episode == same
             assert first + 5 <= later <= first + 30 or first < later == STEPS
             assert (tracks.known[episode, [first, later]] > 0).all()
-        apart = [later - first for (_, first), (_, later) in zip(before, after, strict=True)]
-        share = np.mean([place in pushed for place in before])
-        assert 0.4 < share < 0.8
-        assert len(set(apart)) > 8
+            kinds.append(kind_of(tracks, episode, first, later))
+            apart.append(later - first)
+    shares = np.bincount(kinds, minlength=4) / len(kinds)
+    np.testing.assert_allclose(shares, [0.2, 0.25, 0.35, 0.2], atol=5 * np.sqrt(0.25 / 800))
+    assert len(set(apart)) > 8
+
+
+def test_parts_change_places_alike_in_both_states_of_a_pair(tracks: LayerTracks) -> None:
+    batch = StatePairs(tracks, 200, seed=3).batch(0)
+    orders = set()
+    for before, after in zip(batch["scenes"].numpy(), batch["states"].numpy(), strict=True):
+        was, will = (tracks.truth[int(x[0]), int(x[1])] for x in (before, after))
+        for order in itertools.permutations(range(3)):
+            moved = [np.concatenate([x[5 + 3 * i : 8 + 3 * i] for i in order]) for x in (was, will)]
+            if (moved[0] == before[5:]).all() and (moved[1] == after[5:]).all():
+                orders.add(order)
+                break
+        else:
+            raise AssertionError("parts of the two states are in different orders")
+    assert len(orders) == 6
 
 
 @pytest.mark.parametrize("known", [0.9, 0.6, 0.1])
@@ -354,6 +443,55 @@ def test_each_subgoal_of_a_sample_is_drawn_given_the_one_before_it() -> None:
             np.testing.assert_array_equal(
                 drawn.images[3 * sample + k], world.changed(scene, now.numpy()).images[0]
             )
+
+
+def test_segments_cost_what_the_generator_says_of_their_states() -> None:
+    world, model, start, goal = judged()
+    latents = np.random.default_rng(1).standard_normal((6, 2, 4)).astype(np.float32)
+    subgoals = StateSubgoals(model, world)
+    found = subgoals.segment_costs(start, goal, latents)
+    assert (found.shape, found.dtype) == ((6, 3), np.float32)
+    states = subgoals.decode(start, latents).states.reshape(6, 2, -1)
+    way = torch.from_numpy(np.concatenate([start.states[None].repeat(6, 0), states], axis=1))
+    for k in range(2):
+        expected = model.surprise(way[:, k + 1], way[:, k])
+        np.testing.assert_allclose(found[:, k], expected.detach().numpy(), rtol=1e-4)
+
+
+def test_a_part_that_is_not_seen_in_the_goal_is_gone_or_hidden() -> None:
+    """What is likelier counts; only where the arm is can it be hidden."""
+    world, model, start, goal = judged()
+    latents = np.zeros((1, 1, 4), np.float32)
+    perception = world.dynamics.perception
+    was, seen = start.states[0].copy(), goal.states[0].copy()
+    was[7::3], seen[7::3] = 1.0, 0.0
+    for covered in (0.0, 1.0):
+        perception.covered = lambda *_, covered=covered: torch.full((1, 3), covered)  # type: ignore
+        begin, end = world.changed(start, was[None]), world.changed(start, seen[None])
+        subgoals = StateSubgoals(model, world)
+        found = subgoals.segment_costs(begin, end, latents)[0, 1]
+        before = torch.from_numpy(subgoals.decode(begin, latents).states)
+        expected = []
+        for hidden in itertools.product([False, True], repeat=3):
+            if any(hidden) and not covered:
+                continue
+            meant = torch.from_numpy(seen.copy())
+            for part, is_hidden in enumerate(hidden):
+                at = slice(5 + 3 * part, 8 + 3 * part)
+                meant[at] = torch.from_numpy(was[at])
+                meant[at][2] = float(is_hidden)
+            expected.append(float(model.surprise(meant[None], before)))
+        assert found == pytest.approx(min(expected), rel=1e-4)
+
+
+def judged() -> tuple[LayerWorld, LayerGenerator, LayerFrames, LayerFrames]:
+    """A world, a generator that nobody trained, a start and a goal."""
+    world = LayerWorld(random_dynamics())
+    torch.manual_seed(3)
+    model = LayerGenerator(LayerGeneratorConfig(image_size=SIZE, latent_dim=4, hidden=16))
+    rng = np.random.default_rng(1)
+    frames = world.observe(rng.integers(0, 256, (2, SIZE, SIZE, 3), dtype=np.uint8))
+    return world, model, frames[[0]], frames[[1]]
 
 
 def test_a_generator_of_other_states_than_the_worlds_is_refused() -> None:

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -151,6 +151,57 @@ def test_search_equals_a_numpy_search_over_the_latents_the_generator_saw() -> No
     evaluated, skipped = result.history["evaluated"], result.history["skipped"]
     np.testing.assert_array_equal(evaluated + skipped, 3 * 24)
     assert skipped.sum() > 0
+
+
+class Judge(Positions):
+    """Knows how far apart positions are."""
+
+    def segment_costs(self, start: Floats, goal: Floats, latents: Floats) -> Any:
+        ends = np.repeat(start[None], len(latents), 0), np.repeat(goal[None], len(latents), 0)
+        way = np.concatenate([ends[0], 2 * latents, ends[1]], axis=1)
+        costs = np.linalg.norm(np.diff(way, axis=1), axis=2)
+        self.calls.append((latents.copy(), costs))
+        return costs
+
+
+@pytest.mark.parametrize("reduction", ["max", "mean"])
+def test_a_search_by_likelihood_equals_a_numpy_search_over_the_same_latents(
+    reduction: Literal["max", "mean"],
+) -> None:
+    judge, world = Judge(), PointMass()
+    assert isinstance(judge, protocols.Judging)
+    search = HVF(
+        mpc=SMALL, samples=24, elites=5, iterations=6, reduction=reduction,
+        segment_cost="likelihood",
+    )  # fmt: skip
+    result = search.search(world, judge, START, GOAL, seed=3)
+    *asked, (scene, drawn) = judge.calls
+    np.testing.assert_array_equal(scene, START)
+    np.testing.assert_array_equal(drawn, result.latents[None])
+    best = np.inf
+    for iteration, (latents, segments) in enumerate(asked):
+        costs = (segments.max(axis=1) if reduction == "max" else segments.mean(axis=1)).astype("f4")
+        order = np.argsort(costs, kind="stable")[:5]
+        assert result.history["best"][iteration] == pytest.approx(costs[order[0]], rel=1e-6)
+        _, std = refit(latents.reshape(24, 4)[order])
+        assert result.history["max_std"][iteration] == pytest.approx(std.max())
+        if costs[order[0]] < best:
+            best, expected = costs[order[0]], latents[order[0]]
+    np.testing.assert_array_equal(result.latents, expected)
+    assert result.cost == pytest.approx(best, rel=1e-6)
+    # The answer alone is planned: three segments, each in a call an iteration.
+    assert len(world.calls) == int(result.plans.iterations.sum())
+
+
+def test_a_search_by_likelihood_needs_a_generator_that_knows() -> None:
+    search = HVF(mpc=SMALL, segment_cost="likelihood")
+    with pytest.raises(TypeError, match=r"^generator: segment_cost='likelihood' needs one with"):
+        search.search(PointMass(), Positions(), START, GOAL)
+    judge = Judge()
+    judge.segment_costs = lambda *_: np.zeros((3, 4))  # type: ignore[method-assign]
+    said = r"segment_costs must return float32 costs \[M, K \+ 1\] = \[200, 3\], got"
+    with pytest.raises(ValueError, match=said):
+        search.search(PointMass(), judge, START, GOAL)
 
 
 def same(a: hvf_core.SearchResult, b: hvf_core.SearchResult) -> None:
@@ -400,6 +451,7 @@ def test_settings_out_of_range_are_named(options: dict[str, Any], error: type[Ex
         ({"samples": 0}, ValueError),
         ({"elites": 500}, ValueError),
         ({"reduction": "min"}, ValueError),
+        ({"segment_cost": "guessed"}, ValueError),
         ({"keep_elites": -5}, ValueError),
     ],
 )

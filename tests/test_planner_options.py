@@ -207,7 +207,7 @@ def test_every_option_is_part_of_the_hash() -> None:
     made: list[Any] = [VisualMPC(), *(VisualMPC(**option) for option in options)]
     made += [HVF(mpc=mpc) for mpc in made]
     made += [HVF(subgoals=1), HVF(reduction="mean"), HVF(prune=False), HVF(share_rollouts=False)]
-    made += [HVF(best="last"), HVF(samples=201)]
+    made += [HVF(best="last"), HVF(samples=201), HVF(segment_cost="likelihood")]
     assert len(set(made)) == len({hash(planner) for planner in made}) == len(made)
     assert VisualMPC(min_variance=0.0) == VisualMPC(min_variance=-0.0)
     assert hash(VisualMPC(min_variance=0.0)) == hash(VisualMPC(min_variance=-0.0))

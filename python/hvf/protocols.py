@@ -26,6 +26,7 @@ __all__ = [
     "Frames",
     "Images",
     "Indices",
+    "Judging",
     "Locating",
     "Measuring",
     "Observer",
@@ -211,6 +212,31 @@ class SubgoalModel(Protocol[F_contra]):
             frames of the world model, or uint8 images ``[M * K, height, width, 3]``, or the
             frames of another world that have ``images``; the world model observes the latter two.
             An array of three axes is ``M * K`` frames, never one image.
+        """
+        ...
+
+
+@runtime_checkable
+class Judging(SubgoalModel[F_contra], Protocol):
+    """A generator that knows how likely one frame follows another.
+
+    What a search without plans asks (``HVF(segment_cost="likelihood")``).
+    """
+
+    def segment_costs(
+        self, start: F_contra, goal: F_contra, latents: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Say how unlikely each segment is.
+
+        Args:
+            start: One frame of the world model, ``[1]``.
+            goal: One frame, ``[1]``.
+            latents: Float32 ``[M, K, L]``: what :meth:`decode` would draw subgoals of.
+
+        Returns:
+            Float32 ``[M, K + 1]``: from the start to the first subgoal, from each to the next, and
+            from the last to the goal. Negative log-likelihoods (nats), or anything that grows with
+            the time that a segment takes. NaN ranks last.
         """
         ...
 

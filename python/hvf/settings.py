@@ -105,6 +105,9 @@ class Planning:
         subgoal_elites: of which the best are kept (M*).
         subgoal_iterations: iterations of the search for subgoals.
         reduction: cost of a sample over its segments: the maximum (the paper's) or the mean.
+        segment_cost: who says what a segment costs: the planner, which plans it (the paper's), or
+            the generator, by how likely it is that random play leads from one frame to the next;
+            for generators that know, without a plan and far faster.
         steps: steps of a trial (T); none for the task's own limit.
         steps_per_subgoal: most steps towards one subgoal (T*).
         threshold: cost below which a subgoal counts as reached.
@@ -133,6 +136,7 @@ class Planning:
     subgoal_elites: int = 40
     subgoal_iterations: int = 5
     reduction: Literal["max", "mean"] = "max"
+    segment_cost: Literal["planned", "likelihood"] = "planned"
     steps: int | None = None
     steps_per_subgoal: int = 10
     threshold: float = 1e-3
@@ -188,6 +192,7 @@ class Planning:
             iterations=self.subgoal_iterations,
             reduction=self.reduction,
             best=self.best,
+            segment_cost=self.segment_cost,
         )
 
     @property

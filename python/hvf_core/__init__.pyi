@@ -315,6 +315,9 @@ class HVF:
             iterations, or ``"last"``, that of the last iteration that was run (kept elites
             included), as in the authors' released code. Subgoals, latents, cost and plans are of
             that one sample. How segments are planned is for the ``best`` of ``mpc`` to say.
+        segment_cost: Who says what a segment costs: ``"planned"``, the planner, by the predicted
+            cost of its best plan (the paper's), or ``"likelihood"``, the generator, by its
+            ``segment_costs`` and without a plan.
 
     Raises:
         ValueError: An argument is out of range; the message names it.
@@ -335,6 +338,7 @@ class HVF:
         prune: bool = True,
         share_rollouts: bool = True,
         best: Literal["all", "last"] = "all",
+        segment_cost: Literal["planned", "likelihood"] = "planned",
     ) -> Self: ...
     def __hash__(self) -> int: ...
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
@@ -360,6 +364,8 @@ class HVF:
     def share_rollouts(self) -> bool: ...
     @property
     def best(self) -> Literal["all", "last"]: ...
+    @property
+    def segment_cost(self) -> Literal["planned", "likelihood"]: ...
     def search(
         self, model: Any, generator: Any, start: Any, goal: Any, seed: SupportsIndex = 0
     ) -> SearchResult:
@@ -841,6 +847,7 @@ class LayerWorld:
         sprites: opacity and colour times opacity of each part, float32 `[R, 4, W, W]`.
         blur: standard deviation of the Gaussian blur before frames are compared, in pixels.
         over_horizon: `"last"`, `"sum"` or `"min"` over the predicted frames.
+        hold: steps that each action is held for; only frames after a held action count.
 
     Raises:
         ValueError: shapes that do not fit each other, or numbers out of range, of any size.
@@ -864,6 +871,7 @@ class LayerWorld:
         sprites: NDArray[np.float32],
         blur: float = 0.0,
         over_horizon: Literal["last", "sum", "min"] = "last",
+        hold: SupportsIndex = 1,
     ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]:

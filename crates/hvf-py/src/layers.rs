@@ -15,7 +15,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::arguments::{
-    array, booleans, indices, instance, items, places, point, text, unfit, Given, Real, Text,
+    array, booleans, indices, instance, items, places, point, text, unfit, Given, Real, Text, Whole,
 };
 use crate::error::to_py;
 use crate::threads::detached;
@@ -114,9 +114,11 @@ impl PyLayerWorld {
     #[new]
     #[pyo3(signature = (
         *, hand, sliders, parts, contact, reach, arm_low, arm_step, arm_places, arm_patches,
-        arm_index, table, sprites, blur=Given::of(0.0), over_horizon=text("last")
+        arm_index, table, sprites, blur=Given::of(0.0), over_horizon=text("last"),
+        hold=Whole::of(1)
     ), text_signature = "(*, hand, sliders, parts, contact, reach, arm_low, arm_step, arm_places, \
-                         arm_patches, arm_index, table, sprites, blur=0.0, over_horizon='last')")]
+                         arm_patches, arm_index, table, sprites, blur=0.0, over_horizon='last', \
+                         hold=1)")]
     #[allow(clippy::too_many_arguments)]
     fn new(
         hand: &Bound<'_, PyAny>,
@@ -133,6 +135,7 @@ impl PyLayerWorld {
         sprites: &Bound<'_, PyAny>,
         blur: Real,
         over_horizon: Text,
+        hold: Whole,
     ) -> PyResult<Self> {
         let hand = layers("hand", hand)?;
         let sliders = few("sliders", sliders, "networks of layers")?;
@@ -151,6 +154,7 @@ impl PyLayerWorld {
         let sprites: PyReadonlyArray4<'_, f32> = array("sprites", sprites, "float32 [R, 4, W, W]")?;
         let blur = blur.get("blur")?;
         let over_horizon = over_horizon.get("over_horizon")?;
+        let hold = hold.count("hold")?;
         let build = || {
             let sprites = Sprites::new(sprites.as_array())?;
             let cell = Cell::new(&CellWeights {
@@ -171,7 +175,8 @@ impl PyLayerWorld {
             let gallery = Gallery::new(&images, Backdrop::image_size(table.as_array())?)?;
             let backdrop = Backdrop::new(table.as_array(), gallery.tiles())?;
             let painter = Painter::new(backdrop, sprites, gallery)?;
-            LayerWorld::new(cell, painter, blur, OverHorizon::from_name(&over_horizon)?)
+            LayerWorld::new(cell, painter, blur, OverHorizon::from_name(&over_horizon)?)?
+                .holding(hold)
         };
         Ok(Self { inner: build().map_err(to_py)? })
     }

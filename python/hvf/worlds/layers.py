@@ -31,10 +31,15 @@ class LayerWorld(Around):
         blur: standard deviation in pixels of the Gaussian blur through which predicted frames and
             goals are compared; 0 for none.
         over_horizon: whether the last predicted frame counts, their sum, or their minimum.
+        hold: steps that each action is held for; only frames after a held action count.
     """
 
     def __init__(
-        self, dynamics: LayerDynamics, blur: float = 0.0, over_horizon: OverHorizon = "last"
+        self,
+        dynamics: LayerDynamics,
+        blur: float = 0.0,
+        over_horizon: OverHorizon = "last",
+        hold: int = 1,
     ) -> None:
         self.dynamics = dynamics.eval().requires_grad_(False)
         cell, perception = dynamics.cell, dynamics.perception
@@ -55,6 +60,7 @@ class LayerWorld(Around):
             sprites=perception.sprites.cpu().numpy(),
             blur=blur,
             over_horizon=over_horizon,
+            hold=hold,
         )
 
     @property
@@ -147,7 +153,7 @@ class LayerWorld(Around):
 
 def world_of(dynamics: LayerDynamics, planning: Planning) -> LayerWorld:
     """The world that a trained model is, with the cost of plan settings."""
-    return LayerWorld(dynamics, planning.blur, planning.over_horizon)
+    return LayerWorld(dynamics, planning.blur, planning.over_horizon, planning.action_repeat)
 
 
 def _layers(network: nn.Module) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:

@@ -41,6 +41,7 @@ pub struct LayerWorld {
     actions: ActionSpace,
     blur: Option<Blur>,
     over_horizon: OverHorizon,
+    hold: usize,
 }
 
 /// Room for one chunk of candidates.
@@ -79,7 +80,24 @@ impl LayerWorld {
         let actions = ActionSpace::new(limit.iter().map(|x| -x).collect(), limit)?;
         let tiles = painter.tiles();
         let blur = GaussianBlur::new(blur_sigma, "blur")?.map(|blur| Blur::new(blur, tiles));
-        Ok(Self { cell, painter: Arc::new(painter), actions, blur, over_horizon })
+        Ok(Self { cell, painter: Arc::new(painter), actions, blur, over_horizon, hold: 1 })
+    }
+
+    /// The same world for actions that are held for `hold` steps each: of the frames of a
+    /// rollout only those after a held action count, the last among them.
+    ///
+    /// # Errors
+    /// A hold of 0.
+    pub fn holding(self, hold: usize) -> Result<Self> {
+        match hold {
+            0 => Err(Error::invalid("hold", "must be at least 1, got 0")),
+            _ => Ok(Self { hold, ..self }),
+        }
+    }
+
+    /// Whether the frame after `step` (from 0) of `steps` counts.
+    fn counts(&self, step: usize, steps: usize) -> bool {
+        self.over_horizon.counts(step, steps) && (steps - 1 - step) % self.hold == 0
     }
 
     /// Frames of this world from `images[N, S, S, 3]`, the same without the arm (`clean`, in
@@ -170,7 +188,7 @@ impl LayerWorld {
         costs.fill(self.over_horizon.start());
         let Room { cell, actions: lanes, canvas, state } = room;
         self.roll(scene.state(), actions, cell, lanes, |step, moving| {
-            if !self.over_horizon.counts(step, steps) {
+            if !self.counts(step, steps) {
                 return;
             }
             for candidate in 0..candidates {

@@ -7,6 +7,7 @@
 pub mod cem;
 pub mod distribution;
 mod elites;
+mod likelihood;
 pub mod model;
 pub mod mpc;
 pub mod philox;
@@ -21,4 +22,4 @@ pub mod search;
 pub use cem::{BestOf, CemConfig, IterationStats};
 pub use model::{ActionSpace, Candidates, Frames, SharedCandidates, SubgoalModel, WorldModel};
 pub use mpc::{ActionInitial, Interrupt, MpcConfig, Plan, Problems};
-pub use search::{search, HvfConfig, Reduction, SearchResult, SearchStats};
+pub use search::{search, HvfConfig, Reduction, SearchResult, SearchStats, SegmentCost};

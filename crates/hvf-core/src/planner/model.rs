@@ -212,4 +212,18 @@ pub trait SubgoalModel<F: Frames> {
     /// # Errors
     /// Whatever keeps the model from answering.
     fn decode(&self, scene: &F, latents: Array3<f32>) -> Result<F>;
+
+    /// How unlikely the segments of `M` samples are, as far as this model knows: from `start[1]`
+    /// over the `K` subgoals of `latents[M, K, L]` to `goal[1]`, `[M, K + 1]`. Negative
+    /// log-likelihoods (nats), or anything that grows with the time that a segment takes. Asked
+    /// only for [`SegmentCost::Likelihood`](super::search::SegmentCost::Likelihood).
+    ///
+    /// # Errors
+    /// A model that does not know, or whatever keeps it from answering.
+    fn segment_costs(&self, _start: &F, _goal: &F, _latents: Array3<f32>) -> Result<Array2<f32>> {
+        Err(Error::invalid(
+            "segment_cost",
+            "'likelihood' asks the generator's segment_costs, and this one has none",
+        ))
+    }
 }

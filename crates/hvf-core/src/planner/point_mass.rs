@@ -171,11 +171,12 @@ impl WorldModel for PointMass {
 pub struct Positions {
     pub seen: RefCell<Vec<Array3<f32>>>,
     pub frames_missing: usize,
+    pub costs_missing: usize,
 }
 
 impl Positions {
     pub fn new() -> Self {
-        Self { seen: RefCell::new(Vec::new()), frames_missing: 0 }
+        Self { seen: RefCell::new(Vec::new()), frames_missing: 0, costs_missing: 0 }
     }
 
     pub fn position(latents: &[f32]) -> [f32; 2] {
@@ -195,5 +196,29 @@ impl SubgoalModel<Points> for Positions {
         positions.truncate(positions.len() - self.frames_missing);
         self.seen.borrow_mut().push(latents);
         Ok(Points(positions))
+    }
+
+    /// The squared length of each segment; NaN where a latent's third number is above 1.
+    fn segment_costs(
+        &self,
+        start: &Points,
+        goal: &Points,
+        latents: Array3<f32>,
+    ) -> Result<Array2<f32>> {
+        let (samples, subgoals, _) = latents.dim();
+        let costs =
+            Array2::from_shape_fn((samples - self.costs_missing, subgoals + 1), |(m, k)| {
+                let at = |number: usize| {
+                    Self::position(&latents.slice(ndarray::s![m, number, ..]).to_vec())
+                };
+                let from = if k == 0 { start.0[0] } else { at(k - 1) };
+                let to = if k == subgoals { goal.0[0] } else { at(k) };
+                match k < subgoals && latents[[m, k, 2]] > 1.0 {
+                    true => f32::NAN,
+                    false => (from[0] - to[0]).powi(2) + (from[1] - to[1]).powi(2),
+                }
+            });
+        self.seen.borrow_mut().push(latents);
+        Ok(costs)
     }
 }

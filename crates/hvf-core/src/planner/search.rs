@@ -10,11 +10,12 @@
 //!    bound, in chunks, and dropped once it exceeds the `M*`-th best complete sample: they could
 //!    not have become elites.
 
-use ndarray::{Array2, Array3};
+use ndarray::{Array2, Array3, Axis};
 
 use super::cem::{minimise, BestOf, Call, CemConfig, IterationStats, Objective};
 use super::distribution::{Bounds, Initial};
 use super::elites::elites;
+use super::likelihood::Likelihoods;
 use super::model::{Frames, SubgoalModel, WorldModel};
 use super::mpc::{plan, Interrupt, MpcConfig, Plan, Problems};
 use super::sampler::{Purpose, Stream, MAX_DIMENSIONS};
@@ -29,6 +30,34 @@ pub enum Reduction {
     Mean,
 }
 
+impl Reduction {
+    /// The cost of a sample from those of its segments; NaN if one is.
+    pub(super) fn of(self, costs: impl ExactSizeIterator<Item = f32>) -> f32 {
+        let count = costs.len() as f64;
+        match self {
+            Self::Max => costs.fold(f32::NEG_INFINITY, |most, cost| {
+                if most.is_nan() || cost.is_nan() {
+                    f32::NAN
+                } else {
+                    most.max(cost)
+                }
+            }),
+            Self::Mean => (costs.map(f64::from).sum::<f64>() / count) as f32,
+        }
+    }
+}
+
+/// Who says what a segment costs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum SegmentCost {
+    /// The planner: the predicted cost of its best plan (paper, equation 4).
+    #[default]
+    Planned,
+    /// The generator, without a plan: how unlikely the segment is
+    /// ([`SubgoalModel::segment_costs`]).
+    Likelihood,
+}
+
 /// Settings of the search.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HvfConfig {
@@ -40,6 +69,8 @@ pub struct HvfConfig {
     pub cem: CemConfig,
     /// Cost of a sample from the costs of its segments.
     pub reduction: Reduction,
+    /// Who says what a segment costs.
+    pub segment_cost: SegmentCost,
     /// Drop samples that cannot become elites (only with [`Reduction::Max`]).
     pub prune: bool,
     /// Share the first iteration's rollouts of segments with one start.
@@ -54,6 +85,7 @@ impl Default for HvfConfig {
             subgoals: 2,
             cem: CemConfig::default(),
             reduction: Reduction::Max,
+            segment_cost: SegmentCost::Planned,
             prune: true,
             share_rollouts: true,
         }
@@ -145,8 +177,32 @@ where
             format!("must be at most {}, got {}", MAX_DIMENSIONS / latent_dim, config.subgoals),
         ));
     }
-    let prior = Initial::Normal { mean: vec![0.0; dimensions], std: vec![1.0; dimensions] };
+    let prior = [Initial::Normal { mean: vec![0.0; dimensions], std: vec![1.0; dimensions] }];
     let streams = [Stream { seed, purpose: Purpose::Latents, problem: 0 }];
+    let bounds = Bounds::unbounded(dimensions);
+    let latents_of = |candidate| {
+        Array2::from_shape_vec((config.subgoals, latent_dim), candidate)
+            .expect("a candidate has K x L values")
+    };
+    if config.segment_cost == SegmentCost::Likelihood {
+        let mut samples = Likelihoods {
+            generator,
+            start,
+            goal,
+            subgoals: config.subgoals,
+            latent_dim,
+            reduction: config.reduction,
+            interrupt,
+        };
+        let mut solutions = minimise(&config.cem, &bounds, &prior, &streams, &mut samples)?;
+        let solution = solutions.pop().expect("one problem, one solution");
+        let latents = latents_of(solution.candidate);
+        let subgoals = decoded(generator, start, latents.clone().insert_axis(Axis(0)))?;
+        let plans = plan_along(config, world, [start, &subgoals, goal], seed, interrupt)?;
+        let none = |&costs| SearchStats { costs, evaluated: 0, skipped: 0 };
+        let history = solution.history.iter().map(none).collect();
+        return Ok(SearchResult { subgoals, latents, cost: solution.cost, plans, history });
+    }
     let mut samples = Samples {
         config,
         world,
@@ -159,15 +215,13 @@ where
         best: None,
         counts: Vec::new(),
     };
-    let bounds = Bounds::unbounded(dimensions);
-    let mut solutions = minimise(&config.cem, &bounds, &[prior], &streams, &mut samples)?;
+    let mut solutions = minimise(&config.cem, &bounds, &prior, &streams, &mut samples)?;
     let solution = solutions.pop().expect("one problem, one solution");
     let best = samples.best.expect("at least one sample was completed");
     let history = solution.history.iter().zip(&samples.counts);
     Ok(SearchResult {
         subgoals: best.subgoals,
-        latents: Array2::from_shape_vec((config.subgoals, latent_dim), solution.candidate)
-            .expect("a candidate has K x L values"),
+        latents: latents_of(solution.candidate),
         cost: solution.cost,
         plans: best.plans,
         history: history
@@ -203,6 +257,50 @@ fn plan_directly<W: WorldModel>(
     })
 }
 
+/// Plans the segments of one way: from `start[1]` over `subgoals[K]` to `goal[1]`.
+fn plan_along<W: WorldModel>(
+    config: &HvfConfig,
+    world: &W,
+    [start, subgoals, goal]: [&W::Frames; 3],
+    seed: u64,
+    interrupt: Interrupt<'_>,
+) -> Result<Vec<Plan>> {
+    let (count, mut plans) = (subgoals.len(), Vec::new());
+    for segment in 0..=count {
+        let from = match segment {
+            0 => start.clone(),
+            _ => subgoals.select(&[segment - 1])?,
+        };
+        let to = if segment == count { goal.clone() } else { subgoals.select(&[segment])? };
+        let problems = Problems {
+            starts: &from,
+            goals: &to,
+            streams: &[segment_stream(seed, 0, 0, segment)],
+            warm_start: None,
+            share_rollouts: false,
+            describe: &|_| format!("segment {segment}"),
+        };
+        plans.append(&mut plan(&config.mpc, world, &problems, interrupt)?);
+    }
+    Ok(plans)
+}
+
+/// What a generator draws for `latents[M, K, L]`: `M * K` frames, or an error.
+pub(super) fn decoded<F: Frames, G: SubgoalModel<F>>(
+    generator: &G,
+    scene: &F,
+    latents: Array3<f32>,
+) -> Result<F> {
+    let expected = latents.len_of(Axis(0)) * latents.len_of(Axis(1));
+    let drawn = generator.decode(scene, latents)?;
+    match drawn.len() {
+        got if got != expected => {
+            Err(Error::Model(format!("decode must give {expected} frames, got {got}")))
+        }
+        _ => Ok(drawn),
+    }
+}
+
 /// The stream of one segment's planning problem: 16 bits of iteration, 32 of sample, 16 of
 /// segment, so that it does not depend on which other problems are solved.
 fn segment_stream(seed: u64, iteration: usize, sample: usize, segment: usize) -> Stream {
@@ -218,11 +316,7 @@ struct Sample {
 
 impl Sample {
     fn cost(&self, reduction: Reduction) -> f32 {
-        let costs = self.plans.iter().map(|plan| plan.cost);
-        match reduction {
-            Reduction::Max => costs.fold(f32::NEG_INFINITY, f32::max),
-            Reduction::Mean => (costs.map(f64::from).sum::<f64>() / self.plans.len() as f64) as f32,
-        }
+        reduction.of(self.plans.iter().map(|plan| plan.cost))
     }
 }
 
@@ -361,12 +455,7 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> 
         let latents = candidates
             .into_shape_with_order((count, subgoals, self.latent_dim))
             .expect("a candidate has K x L values");
-        let decoded = self.generator.decode(self.start, latents)?;
-        if decoded.len() != count * subgoals {
-            let expected = count * subgoals;
-            let got = decoded.len();
-            return Err(Error::Model(format!("decode must give {expected} frames, got {got}")));
-        }
+        let decoded = decoded(self.generator, self.start, latents)?;
         let mut samples = vec![Sample::default(); count];
         let all: Vec<usize> = (0..count).collect();
         self.plan_segment(call.iteration, 0, &all, &decoded, &mut samples)?;

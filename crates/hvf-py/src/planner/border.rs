@@ -6,7 +6,7 @@ use hvf_core_rs::layers::LayerWorld;
 use hvf_core_rs::maze::{MazeFrames, MazeWorld};
 use hvf_core_rs::planner::{SubgoalModel, WorldModel};
 use hvf_core_rs::{Error, Result};
-use ndarray::Array3;
+use ndarray::{Array2, Array3};
 use numpy::{dtype, PyArray3, PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
@@ -15,6 +15,7 @@ use pyo3::{PyClass, PyTypeInfo};
 
 use super::pace::Paced;
 use super::raised;
+use super::returned_costs::read_costs;
 use crate::arguments::{describe, Whole};
 use crate::error::to_py;
 use crate::keypoint::{PyKeypointFrames, PyKeypointWorld};
@@ -289,6 +290,31 @@ impl<B: Border> SubgoalModel<FramesOf<B>> for Generator<'_, B> {
             let decoded =
                 self.object.bind(py).call_method1(intern!(py, "decode"), (scene, latents))?;
             self.border.read("generator.decode", &decoded, Axes::Batch)
+        })
+        .map_err(raised)
+    }
+
+    fn segment_costs(
+        &self,
+        start: &FramesOf<B>,
+        goal: &FramesOf<B>,
+        latents: Array3<f32>,
+    ) -> Result<Array2<f32>> {
+        let (samples, subgoals, _) = latents.dim();
+        Python::attach(|py| {
+            let object = self.object.bind(py);
+            let Some(ask) = object.getattr_opt(intern!(py, "segment_costs"))? else {
+                return Err(PyTypeError::new_err(format!(
+                    "generator: segment_cost='likelihood' needs one with \
+                     segment_costs(start, goal, latents), got {}",
+                    describe(object)
+                )));
+            };
+            let start = self.border.write(py, start.clone())?;
+            let goal = self.border.write(py, goal.clone())?;
+            let costs = ask.call1((start, goal, PyArray3::from_owned_array(py, latents)))?;
+            let expected = (samples, subgoals + 1);
+            read_costs(object, "segment_costs", &costs, "[M, K + 1]", expected)
         })
         .map_err(raised)
     }

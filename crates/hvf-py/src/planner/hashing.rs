@@ -17,11 +17,12 @@ impl Hash for PyVisualMpc {
 
 impl Hash for PyHvf {
     fn hash<S: Hasher>(&self, state: &mut S) {
-        let HvfConfig { mpc, subgoals, cem, reduction, prune, share_rollouts } = &self.config;
+        let HvfConfig { mpc, subgoals, cem, reduction, segment_cost, prune, share_rollouts } =
+            &self.config;
         hash_mpc(mpc, state);
         hash_cem(cem, state);
         let mean = *reduction == Reduction::Mean;
-        (subgoals, mean, prune, share_rollouts).hash(state);
+        (subgoals, mean, segment_cost, prune, share_rollouts).hash(state);
     }
 }
 

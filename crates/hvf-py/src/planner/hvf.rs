@@ -1,6 +1,8 @@
 //! `HVF`, the search for subgoal images, for Python.
 
-use hvf_core_rs::planner::{search, CemConfig, Frames, HvfConfig, MpcConfig, Reduction};
+use hvf_core_rs::planner::{
+    search, CemConfig, Frames, HvfConfig, MpcConfig, Reduction, SegmentCost,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -35,11 +37,11 @@ impl PyHvf {
             *, mpc=None, subgoals=Given::of(2), samples=Given::of(200), elites=Given::of(40),
             iterations=Given::of(5), min_variance=Given::of(1e-3), reduction=text("max"),
             keep_elites=Given::of(0), prune=Given::of(true), share_rollouts=Given::of(true),
-            best=text("all")
+            best=text("all"), segment_cost=text("planned")
         ),
         text_signature = "(*, mpc=None, subgoals=2, samples=200, elites=40, iterations=5, \
                           min_variance=0.001, reduction='max', keep_elites=0, prune=True, \
-                          share_rollouts=True, best='all')"
+                          share_rollouts=True, best='all', segment_cost='planned')"
     )]
     #[allow(clippy::too_many_arguments)]
     fn new(
@@ -54,6 +56,7 @@ impl PyHvf {
         prune: Flag,
         share_rollouts: Flag,
         best: Text,
+        segment_cost: Text,
     ) -> PyResult<Self> {
         let reduction = match &*reduction.get("reduction")? {
             "max" => Reduction::Max,
@@ -61,6 +64,15 @@ impl PyHvf {
             other => {
                 return Err(PyValueError::new_err(format!(
                     "reduction: must be 'max' or 'mean', got '{other}'"
+                )))
+            }
+        };
+        let segment_cost = match &*segment_cost.get("segment_cost")? {
+            "planned" => SegmentCost::Planned,
+            "likelihood" => SegmentCost::Likelihood,
+            other => {
+                return Err(PyValueError::new_err(format!(
+                    "segment_cost: must be 'planned' or 'likelihood', got '{other}'"
                 )))
             }
         };
@@ -79,6 +91,7 @@ impl PyHvf {
                 best: best_of(best)?,
             },
             reduction,
+            segment_cost,
             prune: prune.get("prune")?,
             share_rollouts: share_rollouts.get("share_rollouts")?,
         };
@@ -90,7 +103,8 @@ impl PyHvf {
     ///
     /// `model`, `start`, `goal` and `seed` are as for `VisualMPC.plan`; `generator` is any object with
     /// the methods of `hvf.protocols.SubgoalModel` (None will do for `subgoals=0`). The result does not
-    /// depend on the number of threads, nor on `prune` and `share_rollouts`.
+    /// depend on the number of threads, nor on `prune` and `share_rollouts`. With
+    /// `segment_cost='likelihood'` only the segments of the answer are planned.
     #[pyo3(
         signature = (model, generator, start, goal, seed=Given::of(0)),
         text_signature = "($self, model, generator, start, goal, seed=0)"
@@ -195,6 +209,13 @@ impl PyHvf {
     fn best(&self) -> &'static str {
         best_name(self.config.cem.best)
     }
+    #[getter]
+    fn segment_cost(&self) -> &'static str {
+        match self.config.segment_cost {
+            SegmentCost::Planned => "planned",
+            SegmentCost::Likelihood => "likelihood",
+        }
+    }
 
     /// The arguments that make an equal object, for copies and pickles.
     fn __getnewargs_ex__<'py>(
@@ -213,6 +234,7 @@ impl PyHvf {
             "prune",
             "share_rollouts",
             "best",
+            "segment_cost",
         ] {
             arguments.set_item(name, slf.getattr(name)?)?;
         }

@@ -199,7 +199,7 @@ impl WorldModel for PythonWorld {
             let model = self.object.bind(py);
             let method = intern!(py, "rollout_costs");
             let costs = model.call_method(method, arguments, keyword(py, seeds)?.as_ref())?;
-            read_costs(model, "rollout_costs", &costs, (problems, samples))
+            read_costs(model, "rollout_costs", &costs, "[B, D]", (problems, samples))
         })
         .map_err(raised)
     }
@@ -220,7 +220,7 @@ impl WorldModel for PythonWorld {
             let model = self.object.bind(py);
             let method = intern!(py, "shared_rollout_costs");
             let costs = model.call_method(method, arguments, keyword(py, seeds)?.as_ref())?;
-            read_costs(model, "shared_rollout_costs", &costs, (goals.len, samples))
+            read_costs(model, "shared_rollout_costs", &costs, "[B, D]", (goals.len, samples))
         });
         Some(costs.map_err(raised))
     }

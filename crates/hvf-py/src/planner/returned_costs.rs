@@ -1,4 +1,4 @@
-//! Costs `[B, D]` out of what a model written in Python returned.
+//! Costs, of candidates `[B, D]` or of segments `[M, K + 1]`, out of what a model written in Python returned.
 //!
 //! A float32 array is copied once (4 bytes per candidate), since the model may go on writing to
 //! it. Tensors are detached from their graph and moved to the host by the methods that they have
@@ -13,7 +13,7 @@ use pyo3::types::PyDict;
 
 use crate::arguments::{array, as_lists, describe, numbers};
 
-/// Costs `[B, D]` of the shape `expected`: float32 as it is, other real numbers converted.
+/// Costs of the shape `expected`, whose axes are called `axes`: float32 as it is, other real numbers converted.
 ///
 /// # Errors
 /// A ValueError that names `model` and `method`; what kept the costs from being read is its
@@ -22,11 +22,12 @@ pub fn read_costs(
     model: &Bound<'_, PyAny>,
     method: &str,
     returned: &Bound<'_, PyAny>,
+    axes: &str,
     expected: (usize, usize),
 ) -> PyResult<Array2<f32>> {
     let wrong = |found: String| match model.get_type().name() {
         Ok(model) => PyValueError::new_err(format!(
-            "model {model}: {method} must return float32 costs [B, D] = [{}, {}], got {found}",
+            "model {model}: {method} must return float32 costs {axes} = [{}, {}], got {found}",
             expected.0, expected.1
         )),
         Err(exception) => exception,

@@ -11,6 +11,7 @@ dimensions, `X` = A + G + 3R length of a state (:mod:`hvf.models.layers.percepti
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -19,6 +20,10 @@ import torch
 from torch import Tensor, nn
 
 from hvf.models.vae import gaussian_kl
+
+_SIZES = ("image_size", "action_dim", "sliders", "roaming")
+# Of the draws of a likelihood: always the same ones, so that costs of one search compare.
+_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -32,9 +37,11 @@ class LayerGeneratorConfig:
         roaming: parts that roam, `R`.
         latent_dim: latent dimensions, `L`.
         hidden: width of the hidden layers.
+        depth: hidden layers of each network.
         hand_precision: standard deviation to which the hand should be rebuilt, full actions.
         slider_precision: that of a slider, as a part of its way.
         part_precision: that of a part, pixels.
+        presence_precision: that of a part's presence, which is 0 or 1.
         least_slide: change of a slider that is none.
         least_move: motion of a part that is none, pixels.
     """
@@ -45,17 +52,19 @@ class LayerGeneratorConfig:
     roaming: int = 3
     latent_dim: int = 8
     hidden: int = 192
+    depth: int = 2
     hand_precision: float = 0.25
     slider_precision: float = 0.03
     part_precision: float = 1.0
+    presence_precision: float = 0.2
     least_slide: float = 0.03
     least_move: float = 1.5
 
     def __post_init__(self) -> None:
-        for name in ("image_size", "action_dim", "sliders", "roaming", "latent_dim", "hidden"):
+        for name in (*_SIZES, "latent_dim", "hidden", "depth"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("hand_precision", "slider_precision", "part_precision"):
+        for name in (f"{thing}_precision" for thing in ("hand", "slider", "part", "presence")):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         for name in ("least_slide", "least_move"):
@@ -78,8 +87,9 @@ class LayerGenerator(nn.Module):
         super().__init__()
         self.config = config
         size, hidden = config.state_size, config.hidden
-        self.posterior = _network(2 * size, hidden, 2 * config.latent_dim)
-        self.decoder = _network(size + config.latent_dim, hidden, size)
+        latent, depth = config.latent_dim, config.depth
+        self.posterior = _network(2 * size, hidden, depth, 2 * latent)
+        self.decoder = _network(size + latent, hidden, depth, size)
         half = 0.5 * config.image_size
         spread = [2.0] * config.action_dim + [0.5] * config.sliders
         self.register_buffer(
@@ -115,10 +125,35 @@ class LayerGenerator(nn.Module):
         self, batch: Mapping[str, Tensor], generator: torch.Generator, step: int
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Negative evidence lower bound, in nats, of `states [N, X]` given `scenes [N, X]`."""
-        states, scenes, config = batch["states"], batch["scenes"], self.config
+        states, scenes = batch["states"], batch["scenes"]
         mean, log_variance = self.encode(states, scenes)
         noise = torch.randn(mean.shape, generator=generator, device=mean.device)
         rebuilt = self.rebuild(mean + noise * (0.5 * log_variance).exp(), scenes)
+        distortion = self._distortion(rebuilt, states).mean()
+        kl = gaussian_kl(mean, log_variance).mean()
+        pieces = {"kl": kl, "distortion": distortion}
+        return distortion + kl, {name: value.detach() for name, value in pieces.items()}
+
+    def surprise(self, states: Tensor, scenes: Tensor, draws: int = 4) -> Tensor:
+        """How unlikely ``states [N, X]`` are after ``scenes [N, X]``, nats, ``[N]``.
+
+        The negative log-likelihood up to a constant, by importance sampling from the posterior
+        (Burda et al., 2016). Grows with what has to change, and more than in proportion where
+        several things have to that seldom do within one stretch of play.
+        """
+        mean, log_variance = self.encode(states, scenes)
+        generator = torch.Generator().manual_seed(_SEED)
+        noise = torch.randn((draws, 1, mean.shape[1]), generator=generator).to(mean.device)
+        log_weights = [
+            0.5 * (each.square() + log_variance - latents.square()).sum(dim=1)
+            - self._distortion(self.rebuild(latents, scenes), states)
+            for each, latents in zip(noise, mean + noise * (0.5 * log_variance).exp(), strict=True)
+        ]
+        return math.log(draws) - torch.logsumexp(torch.stack(log_weights), dim=0)
+
+    def _distortion(self, rebuilt: Tensor, states: Tensor) -> Tensor:
+        """How far states were missed, nats, ``[N]``."""
+        config = self.config
         hand = slice(0, config.action_dim)
         sliders = slice(config.action_dim, config.action_dim + config.sliders)
         parts, truth = self._parts(rebuilt), self._parts(states)
@@ -128,12 +163,9 @@ class LayerGenerator(nn.Module):
             ((rebuilt - states)[:, hand] / config.hand_precision).square().sum(dim=1),
             ((rebuilt - states)[:, sliders] / config.slider_precision).square().sum(dim=1),
             apart.square().sum(dim=(1, 2)),
-            ((parts - truth)[..., 2] / 0.2).square().sum(dim=1),
+            ((parts - truth)[..., 2] / config.presence_precision).square().sum(dim=1),
         ]
-        distortion = 0.5 * torch.stack(wrong).sum(dim=0).mean()
-        kl = gaussian_kl(mean, log_variance).mean()
-        pieces = {"kl": kl, "distortion": distortion}
-        return distortion + kl, {name: value.detach() for name, value in pieces.items()}
+        return 0.5 * torch.stack(wrong).sum(dim=0)
 
     def _parts(self, states: Tensor) -> Tensor:
         return states[:, -3 * self.config.roaming :].reshape(len(states), -1, 3)
@@ -144,11 +176,9 @@ class LayerGenerator(nn.Module):
         return torch.cat([normal[:, : -3 * self.config.roaming], parts], dim=1)
 
 
-def _network(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Linear(inputs, hidden),
-        nn.ReLU(),
-        nn.Linear(hidden, hidden),
-        nn.ReLU(),
-        nn.Linear(hidden, outputs),
-    )
+def _network(inputs: int, hidden: int, depth: int, outputs: int) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for _ in range(depth):
+        layers += [nn.Linear(inputs, hidden), nn.ReLU()]
+        inputs = hidden
+    return nn.Sequential(*layers, nn.Linear(inputs, outputs))

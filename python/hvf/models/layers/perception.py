@@ -227,6 +227,17 @@ class LayerPerception(nn.Module):
         drawn: Tensor = scenes.image * (1 - opacity) + colour
         return drawn.clamp(0, 1)
 
+    def covered(self, states: Tensor, places: Tensor) -> Tensor:
+        """How much the arm of `states [N, X]` hides around `places [N, R, 2]`: opacity `[N, R]`.
+
+        Squares are as wide as a part is seen; what is beyond the image counts as not covered.
+        """
+        opacity, _ = self.gallery(states[:, : self.config.arm.action_dim])
+        around = F.avg_pool2d(opacity, _SQUARE, stride=1, padding=_SQUARE // 2)[:, 0]
+        rows, columns = places.round().long().clamp(0, self.config.image_size - 1).unbind(dim=2)
+        covered: Tensor = around[torch.arange(len(states))[:, None], rows, columns]
+        return covered
+
     def check(self, frames: Tensor, states: Tensor | None = None) -> None:
         """Warn once if uint8 `frames [N, S, S, 3]` look unfamiliar.
 

@@ -26,7 +26,14 @@ _SHOWN = 10
 _SAMPLES = 5
 # Steps between a scene and what it looks like later: as far as a plan reaches, and twice that.
 _LATER = (5, 30)
-_PLAN = 15
+# Pairs to a first frame, and of all.
+_AHEAD, _MOST_PAIRS = 8, 4_000_000
+# Shares of pairs in which the hand alone moves, something slides, a part moves, a part is gone.
+_SHARES = (0.2, 0.25, 0.35, 0.2)
+# A slider that moved by more of its way slid; a part that moved by more pixels moved.
+_SLID, _MOVED = 0.05, 1.5
+# What is known of a part (:class:`~hvf.training.tracks.layers.LayerTracks`).
+_GONE, _PLACED = 1, 2
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -46,9 +53,9 @@ class LayersGeneratorRecipe(Recipe):
     dynamics: Path = Path("runs/layers/model.safetensors")
     episodes: int = 4000
     batch_size: int = 512
-    model: LayerGeneratorConfig = LayerGeneratorConfig()
+    model: LayerGeneratorConfig = LayerGeneratorConfig(hidden=384, depth=3, presence_precision=0.1)
     loop: LoopConfig = LoopConfig(
-        steps=10_000,
+        steps=15_000,
         learning_rate=2e-3,
         schedule="cosine",
         warmup_steps=100,
@@ -96,7 +103,13 @@ class LayersGeneratorRecipe(Recipe):
 
 
 class StatePairs:
-    """Two states of one episode, a scene and what it is later; in half of them a part is pushed.
+    """Two states of one episode, a scene and what it is later, in balance.
+
+    Most of what play does is to move the hand. Pairs are sorted by the rarest thing that changes
+    between them (a part is gone; a part moved; something slid; nothing but the hand), and each
+    kind is drawn with a share of its own (:data:`_SHARES`), so that the generator learns, and its
+    likelihood measures, the rare as well as the common. Parts change places at random: what one
+    does is as likely of the others.
 
     Batches hold ``scenes`` and ``states``, float32 ``[N, X]``.
 
@@ -111,49 +124,64 @@ class StatePairs:
 
     def __init__(self, tracks: LayerTracks, count: int, seed: int) -> None:
         self._tracks, self._count, self._seed = tracks, count, seed
-        self._sure: NDArray[np.bool_] = np.asarray((tracks.known > 0).all(axis=2))
-        pushed = tracks.pushed(min(_PLAN, tracks.actions.shape[1]))
-        self._pushed = pushed[self._sure[pushed[:, 0], pushed[:, 1]]]
-        self._any = self._starts()
-        if not len(self._any):
+        pairs = _pairs(tracks, np.random.default_rng([seed, len(tracks.truth)]))
+        if not pairs.shape[1]:
             raise ValueError("tracks: no two frames in which all parts are known, one later")
+        kinds = changes(tracks, pairs)
+        self._kinds = [pairs[:, kinds == kind] for kind in range(len(_SHARES))]
 
     def batch(self, step: int) -> Mapping[str, torch.Tensor]:
         """The batch of training step ``step``, a function of (seed, step)."""
         rng = np.random.default_rng([self._seed, step])
-        found, wanted = [self._draw(rng)], self._count
-        while sum(pairs.shape[1] for pairs in found) < wanted:
-            found.append(self._draw(rng))
-        episode, first, later = np.concatenate(found, axis=1)[:, :wanted]
-        truth = self._tracks.truth
-        return {
-            "scenes": torch.from_numpy(truth[episode, first]),
-            "states": torch.from_numpy(truth[episode, later]),
-        }
+        there = [pairs.shape[1] > 0 for pairs in self._kinds]
+        shares = np.array(_SHARES) * there
+        counts = rng.multinomial(self._count, shares / shares.sum())
+        drawn = [
+            pairs[:, rng.integers(pairs.shape[1], size=count)]
+            for pairs, count in zip(self._kinds, counts, strict=True)
+            if count
+        ]
+        episode, first, later = np.concatenate(drawn, axis=1)
+        truth, parts = self._tracks.truth, self._tracks.parts
+        roaming = self._tracks.known.shape[2]
+        order = rng.permuted(np.tile(np.arange(roaming), (self._count, 1)), axis=1)
+        found = {"scenes": truth[episode, first], "states": truth[episode, later]}
+        for states in found.values():
+            each = states[:, parts].reshape(self._count, roaming, 3)
+            mixed = np.take_along_axis(each, order[:, :, None], axis=1)
+            states[:, parts] = mixed.reshape(self._count, -1)
+        return {name: torch.from_numpy(states) for name, states in found.items()}
 
-    def _starts(self) -> NDArray[np.int64]:
-        """Episodes and frames ``[N, 2]`` that are known, as is one of those drawn for later."""
-        starts, last = np.argwhere(self._sure[:, :-1]), self._tracks.actions.shape[1]
-        before = np.pad(self._sure.cumsum(axis=1), ((0, 0), (1, 0)))
-        nearest, farthest = (np.minimum(starts[:, 1] + ahead, last) for ahead in _LATER)
-        between = before[starts[:, 0], farthest + 1] - before[starts[:, 0], nearest]
-        chosen: NDArray[np.int64] = starts[between > 0]
-        return chosen
 
-    def _draw(self, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Episodes, first and later frames ``[3, N]`` of pairs that are known."""
-        # Twice as many as are wanted: some end where a part is not known.
-        size, last = 2 * self._count, self._tracks.actions.shape[1]
-        chosen = self._any[rng.integers(len(self._any), size=size)]
-        ahead = rng.integers(_LATER[0], _LATER[1] + 1, size=size)
-        if len(self._pushed):
-            half = np.arange(size) % 2 == 0
-            chosen[half] = self._pushed[rng.integers(len(self._pushed), size=half.sum())]
-            ahead[half] = _PLAN
-        episode, first = chosen.T
-        later = np.minimum(first + ahead, last)
-        pairs: NDArray[np.int64] = np.stack([episode, first, later])
-        return pairs[:, self._sure[episode, later]]
+def _pairs(tracks: LayerTracks, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Episodes, first and later frames ``[3, N]`` of pairs in which all parts are known."""
+    sure: NDArray[np.bool_] = np.asarray((tracks.known > 0).all(axis=2))
+    starts, last = np.argwhere(sure[:, :-1]), tracks.actions.shape[1]
+    starts = starts[rng.integers(len(starts), size=min(_AHEAD * len(starts), _MOST_PAIRS))]
+    episode, first = starts.T
+    ahead = rng.integers(_LATER[0], _LATER[1] + 1, size=len(starts))
+    pairs: NDArray[np.int64] = np.stack([episode, first, np.minimum(first + ahead, last)])
+    return pairs[:, sure[pairs[0], pairs[2]]]
+
+
+def changes(tracks: LayerTracks, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """What changes in ``pairs [3, N]`` (episodes, first and later frames), ``[N]``.
+
+    Returns:
+        0 where it is the hand alone, 1 where something slid, 2 where a part moved, 3 where one is
+        gone; of several the last.
+    """
+    episode, first, later = pairs
+    kinds = np.zeros(pairs.shape[1], np.int64)
+    before, after = (tracks.truth[episode, frame] for frame in (first, later))
+    known, then = (tracks.known[episode, frame] for frame in (first, later))
+    sliders = slice(tracks.hand.stop, tracks.parts.start)
+    kinds[(np.abs(after - before)[:, sliders] > _SLID).any(axis=1)] = 1
+    apart = (after - before)[:, tracks.parts].reshape(*known.shape, 3)[..., :2]
+    both = (known == _PLACED) & (then == _PLACED)
+    kinds[(both & (np.linalg.norm(apart, axis=2) > _MOVED)).any(axis=1)] = 2
+    kinds[((known == _PLACED) & (then == _GONE)).any(axis=1)] = 3
+    return kinds
 
 
 def validate_layers_generator(
