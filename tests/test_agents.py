@@ -14,13 +14,13 @@ from hvf.agents.frames import images_of, joined
 from hvf.agents.method import Means
 from hvf.agents.planning import PlanningAgent
 from hvf.agents.random import RandomAgent
-from hvf.agents.subgoals import ground_truth, no_subgoals, searched
+from hvf.agents.subgoals import Searched, ground_truth, no_subgoals
 from hvf.domains.maze import MazeTrials
 from hvf.evaluation import Task, Trial, act
 from hvf.evaluation.acting import derived_seed
 from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.recording import Recorder
-from hvf.protocols import Decision, Measuring, Remembering
+from hvf.protocols import Decision, Measuring, Remembering, SubgoalSourceAnew
 from hvf.registry import METHODS
 from hvf.settings import Acting, Planning, Replanning
 from line import Line, Road, images, places
@@ -108,6 +108,58 @@ def test_planned_cost_may_decide_that_a_subgoal_is_reached() -> None:
     # One place away is close enough: it plans again, towards the goal.
     assert outcome.trials[0].switches == (2,)
     assert walker.aims[2:4] == [[3], [9]]
+
+
+class Fickle(Walker):
+    """Chooses other subgoals on the way: those that it is given, one list a time."""
+
+    def __init__(
+        self, subgoals: Sequence[int], later: Sequence[Sequence[int]], stride: int
+    ) -> None:
+        super().__init__(subgoals, stride)
+        self.later = [list(places) for places in later]
+        self.asked: list[int] = []
+
+    def choose_anew(self, trial: int, seed: int, count: int) -> NDArray[np.uint8]:
+        self.asked.append(count)
+        found = images(self.later.pop(0)[:count])
+        self.targets = np.concatenate([found, self.targets[-1:]])
+        return found
+
+
+def test_subgoals_that_are_left_are_chosen_anew_when_one_is_left_behind() -> None:
+    walker = Fickle([3, 5, 8], [[4, 6], [7]], stride=1)
+    outcome = act(Line([0]), walker, Acting(threshold=1e-9, choose_anew=True), [0])
+    assert walker.asked == [2, 1]
+    assert outcome.trials[0].switches == (3, 4, 7)
+    assert [aim for [aim] in walker.aims] == [3, 3, 3, 4, 7, 7, 7, 9, 9]
+    # What a trial began with is what is kept of it.
+    assert places(outcome.subgoals[0]).tolist() == [3, 5, 8]
+
+
+def test_after_the_goal_was_tried_in_vain_all_subgoals_are_chosen_anew() -> None:
+    # Two steps for each aim: two subgoals and the goal are six, and four are left then.
+    walker = Fickle([3, 5], [[6], [7, 8]], stride=0)
+    config = Acting(steps=10, steps_per_subgoal=2, threshold=0.0, choose_anew=True)
+    outcome = act(Line([0]), walker, config, [0])
+    assert walker.asked == [1, 1]
+    assert [aim for [aim] in walker.aims] == [3, 3, 6, 6, 9, 9, 7, 7, 9, 9]
+    assert outcome.trials[0].switches == (2, 4, 6, 8)
+
+
+def test_subgoals_chosen_anew_and_reached_already_do_not_stop_the_trial() -> None:
+    walker = Fickle([0, 0], [[0], [0], [0]], stride=0)
+    config = Acting(steps=6, steps_per_subgoal=2, threshold=1e-9, choose_anew=True)
+    outcome = act(Line([0]), walker, config, [0])
+    assert outcome.trials[0].steps == 6
+
+
+def test_agents_that_cannot_choose_anew_keep_to_their_subgoals() -> None:
+    def finished(**settings: bool) -> list[Trial]:
+        agent = PlanningAgent(Road(), MPC, Elsewhere(4))
+        return act(Line([0, 2]), agent, Acting(steps=20, **settings), [0, 1]).trials
+
+    assert finished(choose_anew=True) == finished()
 
 
 class Listener:
@@ -466,7 +518,7 @@ def test_frames_that_are_tensors_go_all_the_way_through_acting() -> None:
     world = latent_world()
     assert isinstance(world, Measuring)
     search = hvf_core.HVF(mpc=MPC, subgoals=1, samples=8, elites=3, iterations=2)
-    agent = PlanningAgent(world, MPC, searched(search, world, Halves()))
+    agent = PlanningAgent(world, MPC, Searched(lambda _: search, 1, world, Halves()))
     trials = Line([3, 5, 9])
     recorder = Recorder(trials)
     # The threshold is compared with the world's own distance: half a place.
@@ -480,9 +532,29 @@ def test_frames_that_are_tensors_go_all_the_way_through_acting() -> None:
     assert places(episode.observations)[0] == 3
     # The same alone: frames of several trials are joined, and taken apart again.
     for index, start in enumerate((3, 5, 9)):
-        agent = PlanningAgent(world, MPC, searched(search, world, Halves()))
+        agent = PlanningAgent(world, MPC, Searched(lambda _: search, 1, world, Halves()))
         alone = act(Line([start]), agent, Acting(steps=6, threshold=0.6), [index])
         assert alone.trials[0] == outcome.trials[index]
+
+
+def test_a_search_on_the_way_starts_where_the_trial_is_now() -> None:
+    world, starts = latent_world(), []
+
+    class Noting(Halves):
+        def decode(self, scene: Any, latents: NDArray[np.float32]) -> Any:
+            starts.append(float(2 * scene[0, 0]))
+            return super().decode(scene, latents)
+
+    def search(count: int) -> hvf_core.HVF:
+        return hvf_core.HVF(mpc=MPC, subgoals=count, samples=8, elites=3, iterations=1)
+
+    source = Searched(search, 2, world, Noting())
+    assert isinstance(source, SubgoalSourceAnew)
+    trials = Line([3, 5])
+    assert len(source(trials, 1, 0)) == 2
+    trials.at[1] = 7
+    assert [len(source.anew(trials, 1, 0, count)) for count in (1, 9)] == [1, 2]
+    assert starts == [5.0, 7.0, 7.0]
 
 
 def test_whether_a_subgoal_is_reached_is_asked_of_the_worlds_own_distance() -> None:

@@ -38,6 +38,7 @@ __all__ = [
     "RolloutSharer",
     "SubgoalModel",
     "SubgoalSource",
+    "SubgoalSourceAnew",
     "Trials",
     "TrueSubgoals",
     "WorldModel",
@@ -399,8 +400,17 @@ class SubgoalSource(Protocol):
         ...
 
 
+@runtime_checkable
+class SubgoalSourceAnew(SubgoalSource, Protocol):
+    """A source that can be asked again on the way."""
+
+    def anew(self, trials: Trials, trial: int, seed: int, count: int) -> Frames:
+        """Return ``count`` subgoals of one trial from where it is now, or fewer."""
+        ...
+
+
 class Agent(Protocol):
-    """Chooses subgoals once per trial, and an action at every step.
+    """Chooses subgoals at the start of a trial, or on the way, too, and an action at every step.
 
     What a trial aims at is numbered: its subgoals from 0, and the goal last.
     """
@@ -411,6 +421,10 @@ class Agent(Protocol):
 
     def choose(self, trial: int, seed: int) -> Frames:
         """Choose the subgoals of a trial, in order; return them."""
+        ...
+
+    def choose_anew(self, trial: int, seed: int, count: int) -> Frames | None:
+        """Choose ``count`` subgoals, or fewer, from where a trial is now; None to leave all be."""
         ...
 
     def act(

@@ -31,6 +31,9 @@ class Acting:
             cost of the plan to it.
         reached_blur: standard deviation, pixels, of a Gaussian blur through which observation
             and subgoal are compared; 0 for none.
+        choose_anew: whether the subgoals that are left are chosen anew, from what is seen, when
+            one is left behind, and all of them after ``T*`` steps towards the goal in vain; the
+            paper chooses once. For methods that can.
     """
 
     steps: int = 50
@@ -38,6 +41,7 @@ class Acting:
     threshold: float = 1e-3
     reached: Literal["observed", "planned"] = "observed"
     reached_blur: float = 0.0
+    choose_anew: bool = False
 
     def __post_init__(self) -> None:
         for name in ("steps", "steps_per_subgoal"):
@@ -113,6 +117,9 @@ class Planning:
         threshold: cost below which a subgoal counts as reached.
         reached: which cost that is: of the observed frame, or planned.
         reached_blur: as ``blur``, for the observed frame and the subgoal.
+        choose_anew: whether subgoals are chosen anew, from what is seen, when one is left behind,
+            and after T* steps towards the goal in vain; the paper chooses once. For methods that
+            can.
     """
 
     samples: int = 200
@@ -142,6 +149,7 @@ class Planning:
     threshold: float = 1e-3
     reached: Literal["observed", "planned"] = "observed"
     reached_blur: float = 0.0
+    choose_anew: bool = False
 
     def __post_init__(self) -> None:
         # The planners check what is theirs.
@@ -161,6 +169,7 @@ class Planning:
             self.threshold,
             self.reached,
             self.reached_blur,
+            self.choose_anew,
         )
 
     @property

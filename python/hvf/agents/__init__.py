@@ -4,7 +4,7 @@ from hvf.agents.method import Means, Method
 from hvf.agents.planning import PlanningAgent
 from hvf.agents.policy import PolicyAgent
 from hvf.agents.random import RandomAgent
-from hvf.agents.subgoals import ground_truth, no_subgoals, proposed, searched
+from hvf.agents.subgoals import Searched, ground_truth, no_subgoals, proposed
 
 __all__ = [
     "Means",
@@ -12,8 +12,8 @@ __all__ = [
     "PlanningAgent",
     "PolicyAgent",
     "RandomAgent",
+    "Searched",
     "ground_truth",
     "no_subgoals",
     "proposed",
-    "searched",
 ]

@@ -26,6 +26,10 @@ class DirectAgent:
         none: Frames = self._goals[trial][None][:0]
         return none
 
+    def choose_anew(self, trial: int, seed: int, count: int) -> Frames | None:
+        """Choose none either."""
+        return None
+
     def act(
         self, which: Indices, observations: Images, aims: Indices, seeds: Sequence[int]
     ) -> Decision:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hvf.agents.planning import PlanningAgent
 from hvf.agents.policy import PolicyAgent
 from hvf.agents.random import RandomAgent
-from hvf.agents.subgoals import ground_truth, no_subgoals, proposed, searched
+from hvf.agents.subgoals import Searched, ground_truth, no_subgoals, proposed
 from hvf.protocols import Agent, Policy, Proposer, SubgoalModel, SubgoalSource, WorldModel
 from hvf.settings import Planning
 
@@ -92,8 +92,8 @@ def _search(means: Means) -> Agent:
         return means.planner(no_subgoals)
     if means.world is None or means.generator is None:
         raise ValueError("generator: a search for subgoals needs a model that draws them")
-    search = means.planning.search(means.subgoals)
-    return means.planner(searched(search, means.world, means.generator))
+    search = means.planning.search
+    return means.planner(Searched(search, means.subgoals, means.world, means.generator))
 
 
 def _proposal(means: Means) -> Agent:

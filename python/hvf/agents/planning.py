@@ -20,6 +20,7 @@ from hvf.protocols import (
     Privileged,
     Remembering,
     SubgoalSource,
+    SubgoalSourceAnew,
     Trials,
     WorldModel,
 )
@@ -77,7 +78,18 @@ class PlanningAgent:
     def choose(self, trial: int, seed: int) -> Frames:
         """Choose the subgoals of a trial."""
         assert self._trials is not None, "begin comes first"
-        found = self.source(self._trials, trial, seed)
+        return self._aimed(trial, self.source(self._trials, trial, seed))
+
+    def choose_anew(self, trial: int, seed: int, count: int) -> Frames | None:
+        """Choose ``count`` subgoals from where a trial is now, if its source can."""
+        assert self._trials is not None, "begin comes first"
+        if not isinstance(self.source, SubgoalSourceAnew):
+            return None
+        return self._aimed(trial, self.source.anew(self._trials, trial, seed, count))
+
+    def _aimed(self, trial: int, found: Frames) -> Frames:
+        """``found``, once they are what a trial aims at, before its goal."""
+        assert self._trials is not None
         goal = self._trials.goals[trial]
         if has_images(found):
             self._targets[trial] = [*images_of(found), goal]

@@ -45,23 +45,52 @@ def ground_truth(count: int) -> SubgoalSource:
     return source
 
 
-def searched(search: HVF, world: WorldModel[Any], generator: SubgoalModel[Any]) -> SubgoalSource:
-    """HVF: subgoal images found by search (paper, algorithm 2), once, at the start."""
+class Searched:
+    """HVF: subgoal images found by search (paper, algorithm 2).
 
-    def ends_of_all(trials: Trials) -> tuple[Any, Any]:
-        starts = trials.observe(np.arange(len(trials)))
-        return observed(world, starts), observed(world, trials.goals)
+    Once, at the start, as in the paper; asked to, again on the way.
 
-    once = _Once(ends_of_all)
+    Args:
+        search: makes the search for a number of subgoals.
+        count: subgoals at the start, ``K``.
+        world: what it plans with.
+        generator: what draws them.
+    """
 
-    def source(trials: Trials, trial: int, seed: int) -> Frames:
-        starts, goals = once(trials)
+    def __init__(
+        self,
+        search: Callable[[int], HVF],
+        count: int,
+        world: WorldModel[Any],
+        generator: SubgoalModel[Any],
+    ) -> None:
+        self._search, self._count = search, count
+        self._world, self._generator = world, generator
+        # All at once, which is cheaper than one by one.
+        self._ends = _Once(
+            lambda trials: (
+                observed(world, trials.observe(np.arange(len(trials)))),
+                observed(world, trials.goals),
+            )
+        )
+
+    def __call__(self, trials: Trials, trial: int, seed: int) -> Frames:
+        """Search from the start of a trial."""
+        starts, goals = self._ends(trials)
         index = np.array([trial])
-        found = search.search(world, generator, starts[index], goals[index], seed)
+        return self._found(starts[index], goals[index], seed, self._count)
+
+    def anew(self, trials: Trials, trial: int, seed: int, count: int) -> Frames:
+        """Search from where a trial is now."""
+        index = np.array([trial])
+        now = observed(self._world, trials.observe(index))
+        return self._found(now, self._ends(trials)[1][index], seed, min(count, self._count))
+
+    def _found(self, start: Any, goal: Any, seed: int, count: int) -> Frames:
+        search = self._search(count)
+        found = search.search(self._world, self._generator, start, goal, seed)
         frames: Frames = found.subgoals
         return frames
-
-    return source
 
 
 def proposed(count: int, proposer: Proposer) -> SubgoalSource:

@@ -8,6 +8,10 @@ agent may keep to a plan for a few steps, to plan less often). Go on to the next
 observation is close enough to it, or after ``T*`` steps. The goal comes last. Success is asked of
 the environment after every step, and ends a trial.
 
+Subgoals may also be chosen anew on the way (``choose_anew``): those that are left, from what is
+seen, when one is left behind; and all of them after ``T*`` steps towards the goal in vain, or as
+many as there are steps left for.
+
 A trial's result depends on its own seed only, not on which others run beside it.
 """
 
@@ -31,7 +35,8 @@ class Trial:
     Attributes:
         success: whether the environment said so within ``T`` steps.
         steps: steps taken.
-        switches: steps before which the next subgoal was taken, at most ``K``.
+        switches: steps before which the next aim was taken: at most ``K``, but for a trial whose
+            subgoals were chosen anew.
         costs: predicted cost of the plan at every step; empty for an agent without plans.
         error: why it ended before its time, in failure: the environment broke down; else None.
     """
@@ -49,8 +54,8 @@ class Outcome:
 
     Attributes:
         trials: one for each, in order.
-        subgoals: the subgoals of each: ``K`` images, or frames of the agent's world.
-        search_seconds: wall time of choosing the subgoals of each.
+        subgoals: those that each began with: ``K`` images, or frames of the agent's world.
+        search_seconds: wall time of choosing the subgoals of each, on the way, too.
         acting_seconds: wall time of deciding on actions.
         decisions: actions decided on.
     """
@@ -110,6 +115,7 @@ def act(
             watcher.chosen(trial)
     # What each trial aims at, by number: its subgoals, then the goal.
     goal = np.array([len(frames) for frames in subgoals], np.int64)
+    most = goal.copy()
     aim, since = np.zeros(count, np.int64), np.zeros(count, np.int64)
     switches: list[list[int]] = [[] for _ in range(count)]
     costs: list[list[float]] = [[] for _ in range(count)]
@@ -121,7 +127,28 @@ def act(
         for trial in which:
             aim[trial] += 1
             since[trial] = 0
+            if config.choose_anew and (not switches[trial] or switches[trial][-1] < step):
+                choose_anew(int(trial), step, goal[trial] - aim[trial])
             switches[trial].append(step)
+
+    def choose_anew(trial: int, step: int, count: int) -> bool:
+        if count < 1:
+            return False
+        begin = time.perf_counter()
+        found = agent.choose_anew(trial, derived_seed(seeds[trial], 0, step), count)
+        search_seconds[trial] += time.perf_counter() - begin
+        if found is None:
+            return False
+        aim[trial], goal[trial] = 0, len(found)
+        return True
+
+    def start_over(which: Indices, step: int) -> None:
+        # Time for so many subgoals, and the goal.
+        possible = (config.steps - step) // config.steps_per_subgoal - 1
+        for trial in which:
+            since[trial] = 0
+            if choose_anew(int(trial), step, min(int(most[trial]), possible)):
+                switches[trial].append(step)
 
     for step in range(config.steps):
         running = np.array([b for b in np.flatnonzero(~succeeded) if b not in errors], np.int64)
@@ -130,8 +157,11 @@ def act(
         observations = trials.observe(running)
         for watcher in watchers:
             watcher.seen(step, running, observations)
-        late = (aim < goal)[running] & (since[running] >= config.steps_per_subgoal)
-        go_on(running[late], step)
+        late = since[running] >= config.steps_per_subgoal
+        in_vain = running[late & (aim == goal)[running]]
+        go_on(running[late & (aim < goal)[running]], step)
+        if config.choose_anew:
+            start_over(in_vain, step)
         # One at a time: the next subgoal may be reached already.
         while config.reached == "observed" and (aim < goal)[running].any():
             aiming = (aim < goal)[running]

@@ -31,10 +31,12 @@ fn slow_costs(
         let goal = goal.mapv(|x| f32::from(x) / 255.0);
         let goal = goal.broadcast((steps, SIZE, SIZE, 3)).unwrap().to_owned();
         let costs = paired_costs(drawn.view(), goal.view(), blur.as_ref()).unwrap();
+        // From the end: the last of each held action.
+        let counted = costs.iter().rev().step_by(world.hold).copied();
         match world.over_horizon {
             OverHorizon::Last => costs[steps - 1],
-            OverHorizon::Sum => costs.sum(),
-            OverHorizon::Min => costs.iter().copied().fold(f64::INFINITY, f64::min),
+            OverHorizon::Sum => counted.sum(),
+            OverHorizon::Min => counted.fold(f64::INFINITY, f64::min),
         }
     })
 }
@@ -48,8 +50,9 @@ proptest! {
         tile in prop::sample::select(vec![4_usize, 8, 12, 24]),
         blur in prop::sample::select(vec![0.0, 0.8, 3.0]),
         over in prop::sample::select(OVER.to_vec()),
+        hold in 1_usize..5,
     ) {
-        let world = world(seed, tile, blur, over);
+        let world = world(seed, tile, blur, over).holding(hold).unwrap();
         let frames = frames(&world, 4, seed);
         let (starts, goals) = (frames.select(&[0, 1]).unwrap(), frames.select(&[2, 3]).unwrap());
         let actions = batch([2, 5, 3, 3], seed);
@@ -154,6 +157,12 @@ fn foreign_frames_and_actions_are_refused_by_name() {
     let error = one.shared_costs(&start, &mine, narrow.view()).unwrap_err();
     assert!(said(error).starts_with("actions: "));
     assert!(one.rollout_costs(&mine, &mine, good().into()).is_ok());
+}
+
+#[test]
+fn actions_are_held_for_one_step_or_more() {
+    let error = world(1, 8, 0.0, OverHorizon::Min).holding(0).unwrap_err();
+    assert_eq!(error.to_string(), "hold: must be at least 1, got 0");
 }
 
 #[test]

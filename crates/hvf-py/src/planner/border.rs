@@ -306,7 +306,7 @@ impl<B: Border> SubgoalModel<FramesOf<B>> for Generator<'_, B> {
             let Some(ask) = object.getattr_opt(intern!(py, "segment_costs"))? else {
                 return Err(PyTypeError::new_err(format!(
                     "generator: segment_cost='likelihood' needs one with \
-                     segment_costs(start, goal, latents), got {}",
+                     segment_costs(start, goal, latents), got {}; 'planned' needs none",
                     describe(object)
                 )));
             };

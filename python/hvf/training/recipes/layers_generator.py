@@ -53,7 +53,9 @@ class LayersGeneratorRecipe(Recipe):
     dynamics: Path = Path("runs/layers/model.safetensors")
     episodes: int = 4000
     batch_size: int = 512
-    model: LayerGeneratorConfig = LayerGeneratorConfig(hidden=384, depth=3, presence_precision=0.1)
+    model: LayerGeneratorConfig = LayerGeneratorConfig(
+        hidden=384, depth=3, activation="silu", presence_precision=0.1
+    )
     loop: LoopConfig = LoopConfig(
         steps=15_000,
         learning_rate=2e-3,
