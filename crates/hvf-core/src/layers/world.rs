@@ -97,7 +97,7 @@ impl LayerWorld {
 
     /// Whether the frame after `step` (from 0) of `steps` counts.
     fn counts(&self, step: usize, steps: usize) -> bool {
-        self.over_horizon.counts(step, steps) && (steps - 1 - step) % self.hold == 0
+        self.over_horizon.counts(step, steps) && (steps - 1 - step).is_multiple_of(self.hold)
     }
 
     /// Frames of this world from `images[N, S, S, 3]`, the same without the arm (`clean`, in
