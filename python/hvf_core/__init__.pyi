@@ -14,6 +14,7 @@ __all__ = [
     "MAZE_GAP_LIMIT",
     "MAZE_GAP_RANGE",
     "MAZE_IMAGE_SIZE",
+    "MAZE_LAYOUTS",
     "MAZE_REACH",
     "MAZE_SUCCESS_DISTANCE",
     "MAZE_VIEW",
@@ -25,6 +26,7 @@ __all__ = [
     "LayerFrames",
     "LayerWorld",
     "MazeFrames",
+    "MazeLayout",
     "MazeSubgoals",
     "MazeWorld",
     "Plan",
@@ -55,22 +57,86 @@ MAZE_GAP_HALF: float
 MAZE_GAP_LIMIT: float
 MAZE_GAP_RANGE: float
 MAZE_IMAGE_SIZE: int
+MAZE_LAYOUTS: tuple[str, ...]
 MAZE_REACH: float
 MAZE_SUCCESS_DISTANCE: float
 MAZE_VIEW: float
 MAZE_WALL_X: tuple[float, float]
 
-def maze_step(states: ArrayLike, actions: ArrayLike) -> NDArray[np.float64]: ...
-def maze_render(states: ArrayLike, size: SupportsIndex | None = 64) -> NDArray[np.uint8]: ...
-def maze_locate(images: NDArray[np.uint8]) -> NDArray[np.float64]: ...
+@final
+class MazeLayout:
+    """A maze of any layout: walls as boxes that may be turned and may have gaps.
+
+    A state of a layout is a row ``(x, y, gap, ..)`` of ``2 + G`` numbers, metres: where the centres
+    of the agent and of the gaps (along their walls) are.
+
+    Args:
+        name: Its name.
+        walls: Float ``[W, 5]``, rows ``(x, y, half_x, half_y, angle)``: centre and half extents,
+            metres, turn in degrees, anticlockwise.
+        start: Where episodes start, ``(low x, high x, low y, high y)``, metres.
+        goal: Where they aim.
+        arena: Half-widths of the arena, up to 0.3 m, which is what the camera sees.
+        gaps: Float ``[G, 4]``, rows ``(wall, half, low, high)`` in the order of their walls: an
+            opening of half-width ``half`` across the wall's second axis, whose centre every episode
+            draws from ``[low, high]``, from the wall's centre.
+
+    Raises:
+        ValueError: For numbers out of range, a wall outside the arena, a gap that the agent does
+            not fit through, a start or goal that walls fill, a goal that cannot be reached.
+    """
+
+    def __new__(
+        cls,
+        name: str,
+        walls: ArrayLike,
+        start: ArrayLike,
+        goal: ArrayLike,
+        arena: ArrayLike | None = (0.3, 0.3),
+        gaps: ArrayLike | None = (),
+    ) -> Self: ...
+    @staticmethod
+    def preset(name: str) -> MazeLayout: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def arena(self) -> tuple[float, float]: ...
+    @property
+    def walls(self) -> NDArray[np.float64]: ...
+    @property
+    def gaps(self) -> NDArray[np.float64]: ...
+    @property
+    def start(self) -> tuple[float, float, float, float]: ...
+    @property
+    def goal(self) -> tuple[float, float, float, float]: ...
+    @property
+    def columns(self) -> int: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __hash__(self) -> int: ...
+    def __reduce__(self) -> tuple[object, tuple[object, ...]]: ...
+
+def maze_step(
+    states: ArrayLike, actions: ArrayLike, layout: MazeLayout | None = None
+) -> NDArray[np.float64]: ...
+def maze_render(
+    states: ArrayLike, size: SupportsIndex | None = 64, layout: MazeLayout | None = None
+) -> NDArray[np.uint8]: ...
+def maze_locate(
+    images: NDArray[np.uint8], layout: MazeLayout | None = None
+) -> NDArray[np.float64]: ...
 def maze_episodes(
     seed: SupportsIndex,
     first: SupportsIndex,
     count: SupportsIndex,
-    difficulty: Literal["easy", "medium", "hard"],
+    difficulty: Literal["easy", "medium", "hard"] | None = None,
+    layout: MazeLayout | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 def maze_subgoals(
-    starts: ArrayLike, targets: ArrayLike, subgoals: SupportsIndex
+    starts: ArrayLike,
+    targets: ArrayLike,
+    subgoals: SupportsIndex,
+    layout: MazeLayout | None = None,
 ) -> NDArray[np.float64]: ...
 def maze_collect(
     seed: SupportsIndex,
@@ -78,8 +144,11 @@ def maze_collect(
     count: SupportsIndex,
     steps: SupportsIndex,
     size: SupportsIndex | None = 64,
+    layout: MazeLayout | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float64]]: ...
-def maze_success(states: ArrayLike, targets: ArrayLike) -> NDArray[np.bool_]: ...
+def maze_success(
+    states: ArrayLike, targets: ArrayLike, layout: MazeLayout | None = None
+) -> NDArray[np.bool_]: ...
 
 # --- image costs --------------------------------------------------------------------------
 
@@ -447,7 +516,12 @@ class SearchResult:
 
 @final
 class MazeFrames:
-    def __new__(cls, states: ArrayLike, image_size: SupportsIndex = 64) -> Self: ...
+    def __new__(
+        cls,
+        states: ArrayLike,
+        image_size: SupportsIndex = 64,
+        layout: MazeLayout | None = None,
+    ) -> Self: ...
     def __len__(self) -> int: ...
     def __getitem__(self, index: _Index, /) -> MazeFrames: ...
     @property
@@ -470,6 +544,7 @@ class MazeWorld:
         image_size: SupportsIndex = 64,
         blur: float = 0.0,
         over_horizon: Literal["last", "sum", "min"] = "last",
+        layout: MazeLayout | None = None,
     ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]: ...
@@ -500,7 +575,7 @@ class MazeWorld:
 
 @final
 class MazeSubgoals:
-    def __new__(cls, latent_dim: SupportsIndex = 8) -> Self: ...
+    def __new__(cls, latent_dim: SupportsIndex = 8, layout: MazeLayout | None = None) -> Self: ...
     @property
     def latent_dim(self) -> int: ...
     def decode(self, scene: object, latents: ArrayLike) -> MazeFrames: ...

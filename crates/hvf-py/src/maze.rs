@@ -6,8 +6,11 @@ use hvf_core_rs::maze::episodes::SUCCESS_DISTANCE;
 use hvf_core_rs::maze::geometry::{
     AGENT_HALF, ARENA, GAP_HALF, GAP_LIMIT, GAP_RANGE, REACH, WALL_X,
 };
+use hvf_core_rs::maze::ground::Ground;
 use hvf_core_rs::maze::render::VIEW;
-use hvf_core_rs::maze::{self, Difficulty, Episode, Renderer, State, ACTION_LIMIT, IMAGE_SIZE};
+use hvf_core_rs::maze::{
+    self, Difficulty, Episode, MazeFrames, Renderer, State, States, ACTION_LIMIT, IMAGE_SIZE,
+};
 use ndarray::{Ix2, Ix4};
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
@@ -15,6 +18,7 @@ use pyo3::prelude::*;
 
 use crate::arguments::{array, new_array, numbers, unfit, Text, Whole};
 use crate::error::to_py;
+use crate::maze_layout::{layout_of, other_than_paper, states_in, write_row, Kept};
 use crate::threads::detached;
 
 /// Frames between two looks at whether Ctrl-C was pressed.
@@ -23,7 +27,7 @@ const FRAMES_PER_CHUNK: usize = 20_000;
 const EPISODES_PER_CHUNK: usize = 1 << 16;
 
 /// A float array `[N, columns]` as rows; anything `numpy.asarray` takes.
-fn rows<const C: usize>(argument: &str, array: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; C]>> {
+pub fn rows<const C: usize>(argument: &str, array: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; C]>> {
     let expected = format!("a float array [N, {C}]");
     let found = numbers::<f64, Ix2>(argument, array, &expected)?;
     if found.ncols() != C {
@@ -69,63 +73,100 @@ fn renderer(size: Option<Whole>) -> PyResult<Arc<Renderer>> {
 
 type Floats<'py> = Bound<'py, PyArrayDyn<f64>>;
 
-/// States as rows of a new array of this shape, `[.., 4]`.
-fn to_rows<'py>(
+/// States as rows of a new array of this shape, `[.., columns]`.
+fn to_rows<'py, S: Ground>(
     py: Python<'py>,
     argument: &str,
     shape: &[usize],
-    states: impl Iterator<Item = State>,
+    states: impl Iterator<Item = State<S>>,
 ) -> PyResult<Floats<'py>> {
     let array = new_array::<f64>(py, argument, shape)?;
     let mut writable = array.readwrite();
-    for (row, state) in writable.as_slice_mut()?.chunks_exact_mut(4).zip(states) {
-        row.copy_from_slice(&state.to_row());
+    let columns = shape.last().copied().unwrap_or(1);
+    for (row, state) in writable.as_slice_mut()?.chunks_exact_mut(columns).zip(states) {
+        write_row(&state, row);
     }
     drop(writable);
     Ok(array)
+}
+
+/// The layout of a call, if its states are not the paper's.
+fn given(layout: Option<&Bound<'_, PyAny>>) -> PyResult<Option<Arc<Kept>>> {
+    Ok(other_than_paper(layout_of(layout)?))
+}
+
+/// Numbers of a state's row.
+fn columns(layout: Option<&Kept>) -> usize {
+    layout.map_or(4, |kept| kept.layout.columns())
+}
+
+/// Does the same with states of either kind.
+macro_rules! with_states {
+    ($states:expr, $bound:ident => $body:expr) => {
+        match $states {
+            States::Paper($bound) => $body,
+            States::Laid($bound) => $body,
+        }
+    };
 }
 
 /// States after one step of `actions[N, 2]`.
 ///
 /// `states` are float64 `[N, 4]`, rows `(x, y, w1, w2)` in metres: centre of the agent and of the
 /// gaps of the left and right wall. Actions are float32 `[N, 2]` in units of 0.05 N, clipped to
-/// `[-3, 3]`. Returns float64 `[N, 4]`.
+/// `[-3, 3]`. Returns float64 `[N, 4]`. With a `layout` rows are `(x, y, gap, ..)`, here and in
+/// the other functions of the maze.
 ///
 /// Raises ValueError for shapes that do not match, states outside the arena and actions that are
 /// not finite; TypeError for what is no array.
 #[pyfunction]
+#[pyo3(
+    signature = (states, actions, layout = None),
+    text_signature = "(states, actions, layout=None)"
+)]
 fn maze_step<'py>(
     py: Python<'py>,
     states: &Bound<'py, PyAny>,
     actions: &Bound<'py, PyAny>,
+    layout: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Floats<'py>> {
-    let states = self::states("states", states)?;
+    let layout = given(layout)?;
+    let states = states_in("states", states, layout.as_deref())?;
     let actions = rows::<2>("actions", actions)?;
     // What is finite is clipped before it loses its range.
     let clip = |a: f64| if a.is_finite() { a.clamp(-ACTION_LIMIT, ACTION_LIMIT) } else { a };
     let actions: Vec<[f32; 2]> = actions.into_iter().map(|a| a.map(|a| clip(a) as f32)).collect();
-    let next = detached(py, || maze::step_batch(&states, &actions))?.map_err(to_py)?;
-    to_rows(py, "states", &[next.len(), 4], next.into_iter())
+    let columns = columns(layout.as_deref());
+    with_states!(states, states => {
+        let next = detached(py, || maze::step_batch(&states, &actions))?.map_err(to_py)?;
+        to_rows(py, "states", &[next.len(), columns], next.into_iter())
+    })
 }
 
 /// Frames of `states[N, 4]`: uint8 `[N, size, size, 3]`, RGB, row 0 at the top.
 ///
 /// Raises ValueError for a size outside 8..2048 or states that `maze_step` refuses.
 #[pyfunction]
-#[pyo3(signature = (states, size = None), text_signature = "(states, size=64)")]
+#[pyo3(
+    signature = (states, size = None, layout = None),
+    text_signature = "(states, size=64, layout=None)"
+)]
 fn maze_render<'py>(
     py: Python<'py>,
     states: &Bound<'py, PyAny>,
     size: Option<Whole>,
+    layout: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArrayDyn<u8>>> {
-    let states = self::states("states", states)?;
+    let states = states_in("states", states, given(layout)?.as_deref())?;
     let renderer = renderer(size)?;
     let size = renderer.size();
     let frames = new_array::<u8>(py, "size", &[states.len(), size, size, 3])?;
     {
         let mut writable = frames.readwrite();
         let bytes = writable.as_slice_mut()?;
-        detached(py, || maze::render_batch(&renderer, &states, bytes))?.map_err(to_py)?;
+        with_states!(&states, states => {
+            detached(py, || maze::render_batch(&renderer, states, bytes))?.map_err(to_py)?;
+        });
     }
     Ok(frames)
 }
@@ -137,8 +178,12 @@ fn maze_render<'py>(
 ///
 /// Raises TypeError for what is not uint8, ValueError for other shapes.
 #[pyfunction]
-#[pyo3(signature = (images), text_signature = "(images)")]
-fn maze_locate<'py>(py: Python<'py>, images: &Bound<'py, PyAny>) -> PyResult<Floats<'py>> {
+#[pyo3(signature = (images, layout = None), text_signature = "(images, layout=None)")]
+fn maze_locate<'py>(
+    py: Python<'py>,
+    images: &Bound<'py, PyAny>,
+    layout: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Floats<'py>> {
     const EXPECTED: &str = "uint8 [N, S, S, 3]";
     let object = images;
     let complaint = || PyValueError::new_err(unfit("images", EXPECTED, object));
@@ -151,41 +196,76 @@ fn maze_locate<'py>(py: Python<'py>, images: &Bound<'py, PyAny>) -> PyResult<Flo
     let view = images.as_array();
     let standard = view.as_standard_layout();
     let bytes = standard.as_slice().unwrap_or_default();
-    let found = detached(py, || maze::locate_batch(&renderer, bytes))?.map_err(to_py)?;
-    to_rows(py, "images", &[found.len(), 4], found.into_iter())
+    let Some(kept) = given(layout)? else {
+        let found = detached(py, || maze::locate_batch(&renderer, bytes))?.map_err(to_py)?;
+        return to_rows(py, "images", &[found.len(), 4], found.into_iter());
+    };
+    let found = detached(py, || MazeFrames::from_images_in(&kept.layout, &renderer, bytes))?;
+    with_states!(found.map_err(to_py)?.states(), found => {
+        to_rows(py, "images", &[found.len(), kept.layout.columns()], found.into_iter())
+    })
 }
 
 /// Episodes `first..first + count` of a seed: `(starts [N, 4], targets [N, 2])`, float64.
 ///
-/// `difficulty` is 'easy', 'medium' or 'hard' (none, one or two gaps to pass). Episode `i` is
-/// keyed by `(seed, i)`, so it is the same whatever range it is drawn in. The goal state is
+/// `difficulty` is 'easy', 'medium' or 'hard' (none, one or two gaps to pass); in its place a
+/// `layout` may be given, from whose regions start and target are drawn. Episode `i` is keyed by
+/// `(seed, i)`, so it is the same whatever range it is drawn in. The goal state is
 /// `(target_x, target_y, w1, w2)`, its image the goal image.
 ///
-/// Raises ValueError for another difficulty or negative numbers.
+/// Raises ValueError for another difficulty, both or neither of the two, or negative numbers.
 #[pyfunction]
+#[pyo3(
+    signature = (seed, first, count, difficulty = None, layout = None),
+    text_signature = "(seed, first, count, difficulty=None, layout=None)"
+)]
 fn maze_episodes<'py>(
     py: Python<'py>,
     seed: Whole,
     first: Whole,
     count: Whole,
-    difficulty: Text,
+    difficulty: Option<Text>,
+    layout: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<(Floats<'py>, Floats<'py>)> {
     let (seed, first) = (seed.seed("seed")?, first.seed("first")?);
     let count = count.amount("count")?;
-    let difficulty: Difficulty = difficulty.get("difficulty")?.parse().map_err(to_py)?;
-    let starts = new_array::<f64>(py, "count", &[count, 4])?;
+    let layout = layout_of(layout)?;
+    let difficulty = match (difficulty, &layout) {
+        (Some(difficulty), None) => {
+            Some(difficulty.get("difficulty")?.parse::<Difficulty>().map_err(to_py)?)
+        }
+        (None, Some(kept)) => kept.layout.difficulty(),
+        _ => {
+            let problem = "difficulty: give either a difficulty or a layout";
+            return Err(PyValueError::new_err(problem));
+        }
+    };
+    let layout = other_than_paper(layout);
+    let columns = columns(layout.as_deref());
+    let starts = new_array::<f64>(py, "count", &[count, columns])?;
     let targets = new_array::<f64>(py, "count", &[count, 2])?;
     {
         let (mut starts, mut targets) = (starts.readwrite(), targets.readwrite());
-        let rows = starts.as_slice_mut()?.chunks_exact_mut(4);
+        let rows = starts.as_slice_mut()?.chunks_exact_mut(columns);
         let rows = rows.zip(targets.as_slice_mut()?.chunks_exact_mut(2)).enumerate();
         for (index, (start, target)) in rows {
             if index % EPISODES_PER_CHUNK == 0 {
                 py.check_signals()?;
             }
-            let episode = Episode::new(seed, first.wrapping_add(index as u64), difficulty);
-            start.copy_from_slice(&episode.start.to_row());
-            target.copy_from_slice(&episode.target);
+            let number = first.wrapping_add(index as u64);
+            match (&layout, difficulty) {
+                (None, Some(difficulty)) => {
+                    let episode = Episode::new(seed, number, difficulty);
+                    write_row(&episode.start, start);
+                    target.copy_from_slice(&episode.target);
+                }
+                (Some(kept), _) => {
+                    let episode = kept.layout.episode(seed, number);
+                    write_row(&episode.start, start);
+                    target.copy_from_slice(&episode.target);
+                }
+                (None, None) => {}
+            }
         }
     }
     Ok((starts, targets))
@@ -195,22 +275,33 @@ fn maze_episodes<'py>(
 /// `[N, subgoals, 4]`.
 ///
 /// The agent centred in the gaps that it has to pass, in order; on the straight line to the
-/// target if there are none.
+/// target if there are none. In a `layout` at equal parts of the shortest way to the target, moved
+/// a little towards the middle of free space.
 ///
 /// Raises ValueError for shapes that do not match.
 #[pyfunction]
+#[pyo3(
+    signature = (starts, targets, subgoals, layout = None),
+    text_signature = "(starts, targets, subgoals, layout=None)"
+)]
 fn maze_subgoals<'py>(
     py: Python<'py>,
     starts: &Bound<'py, PyAny>,
     targets: &Bound<'py, PyAny>,
     subgoals: Whole,
+    layout: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Floats<'py>> {
-    let starts = states("starts", starts)?;
+    let layout = given(layout)?;
+    let starts = states_in("starts", starts, layout.as_deref())?;
     let targets = self::targets(targets, starts.len())?;
     let subgoals = subgoals.amount("subgoals")?;
-    let shape = [starts.len(), subgoals, 4];
-    let episodes = starts.into_iter().zip(targets).map(|(start, target)| Episode { start, target });
-    to_rows(py, "subgoals", &shape, episodes.flat_map(|episode| episode.subgoals(subgoals)))
+    let shape = [starts.len(), subgoals, columns(layout.as_deref())];
+    with_states!(starts, starts => {
+        let pairs = starts.into_iter().zip(targets);
+        let episodes: Vec<_> = pairs.map(|(start, target)| Episode { start, target }).collect();
+        let found = detached(py, || maze::subgoals_batch(&episodes, subgoals))?;
+        to_rows(py, "subgoals", &shape, found.into_iter())
+    })
 }
 
 type Interaction<'py> = (Bound<'py, PyArrayDyn<u8>>, Bound<'py, PyArrayDyn<f32>>, Floats<'py>);
@@ -226,8 +317,8 @@ type Interaction<'py> = (Bound<'py, PyArrayDyn<u8>>, Bound<'py, PyArrayDyn<f32>>
 /// Raises ValueError for negative or zero sizes, MemoryError where the frames do not fit.
 #[pyfunction]
 #[pyo3(
-    signature = (seed, first, count, steps, size = None),
-    text_signature = "(seed, first, count, steps, size=64)"
+    signature = (seed, first, count, steps, size = None, layout = None),
+    text_signature = "(seed, first, count, steps, size=64, layout=None)"
 )]
 fn maze_collect<'py>(
     py: Python<'py>,
@@ -236,7 +327,10 @@ fn maze_collect<'py>(
     count: Whole,
     steps: Whole,
     size: Option<Whole>,
+    layout: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Interaction<'py>> {
+    let layout = given(layout)?;
+    let columns = columns(layout.as_deref());
     let (seed, first) = (seed.seed("seed")?, first.seed("first")?);
     let (count, steps) = (count.amount("count")?, steps.amount("steps")?);
     let renderer = renderer(size)?;
@@ -246,7 +340,7 @@ fn maze_collect<'py>(
     }
     let frames = new_array::<u8>(py, "count", &[count, steps + 1, size, size, 3])?;
     let actions = new_array::<f32>(py, "count", &[count, steps, 2])?;
-    let states = new_array::<f64>(py, "count", &[count, steps + 1, 4])?;
+    let states = new_array::<f64>(py, "count", &[count, steps + 1, columns])?;
     let per_chunk = (FRAMES_PER_CHUNK / (steps + 1)).max(1);
     {
         let (mut frames, mut actions) = (frames.readwrite(), actions.readwrite());
@@ -255,23 +349,44 @@ fn maze_collect<'py>(
             frames.as_slice_mut()?.chunks_mut(per_chunk * (steps + 1) * renderer.frame_len());
         let chunks = chunks
             .zip(actions.as_slice_mut()?.chunks_mut(per_chunk * steps * 2))
-            .zip(states.as_slice_mut()?.chunks_mut(per_chunk * (steps + 1) * 4));
+            .zip(states.as_slice_mut()?.chunks_mut(per_chunk * (steps + 1) * columns));
         for (chunk, ((frames, actions), states)) in chunks.enumerate() {
             py.check_signals()?;
             let begin = first.wrapping_add((chunk * per_chunk) as u64);
             let episodes = actions.len() / (steps * 2);
-            let part =
-                detached(py, || maze::collect(&renderer, seed, begin, episodes, steps, frames))?
-                    .map_err(to_py)?;
-            for (row, action) in actions.chunks_exact_mut(2).zip(&part.actions) {
-                row.copy_from_slice(action);
-            }
-            for (row, state) in states.chunks_exact_mut(4).zip(&part.states) {
-                row.copy_from_slice(&state.to_row());
+            match &layout {
+                None => {
+                    let part = detached(py, || {
+                        maze::collect(&renderer, seed, begin, episodes, steps, frames)
+                    })?;
+                    record(part.map_err(to_py)?, columns, states, actions);
+                }
+                Some(kept) => {
+                    let layout = &kept.layout;
+                    let part = detached(py, || {
+                        maze::collect_in(layout, &renderer, seed, begin, episodes, steps, frames)
+                    })?;
+                    record(part.map_err(to_py)?, columns, states, actions);
+                }
             }
         }
     }
     Ok((frames, actions, states))
+}
+
+/// Writes what was collected into arrays.
+fn record<S: Ground>(
+    part: maze::Interaction<S>,
+    columns: usize,
+    states: &mut [f64],
+    actions: &mut [f32],
+) {
+    for (row, action) in actions.chunks_exact_mut(2).zip(&part.actions) {
+        row.copy_from_slice(action);
+    }
+    for (row, state) in states.chunks_exact_mut(columns).zip(&part.states) {
+        write_row(state, row);
+    }
 }
 
 /// Whether the agent is within 0.05 m of its target: `states[N, 4]`, `targets[N, 2]` to bool
@@ -279,15 +394,23 @@ fn maze_collect<'py>(
 ///
 /// Raises ValueError for shapes that do not match.
 #[pyfunction]
+#[pyo3(
+    signature = (states, targets, layout = None),
+    text_signature = "(states, targets, layout=None)"
+)]
 fn maze_success<'py>(
     py: Python<'py>,
     states: &Bound<'py, PyAny>,
     targets: &Bound<'py, PyAny>,
+    layout: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray1<bool>>> {
-    let states = self::states("states", states)?;
+    let states = states_in("states", states, given(layout)?.as_deref())?;
     let targets = self::targets(targets, states.len())?;
-    let reached = states.iter().zip(&targets).map(|(state, &target)| maze::success(state, target));
-    Ok(PyArray1::from_iter(py, reached))
+    with_states!(&states, states => {
+        let pairs = states.iter().zip(&targets);
+        let reached = pairs.map(|(state, &target)| maze::success(state, target));
+        Ok(PyArray1::from_iter(py, reached))
+    })
 }
 
 /// Adds the functions and constants of the maze to the module.

@@ -1,7 +1,12 @@
 //! The maze's true simulator as a world model: `MazeWorld`, `MazeFrames`, `MazeSubgoals`.
 
+use std::sync::Arc;
+
 use hvf_core_rs::image::OverHorizon;
-use hvf_core_rs::maze::{MazeFrames, MazeSubgoals, MazeWorld, MazeWorldConfig, Renderer};
+use hvf_core_rs::maze::ground::Ground;
+use hvf_core_rs::maze::{
+    MazeFrames, MazeSubgoals, MazeWorld, MazeWorldConfig, Renderer, State, States,
+};
 use hvf_core_rs::planner::{Frames, SubgoalModel, WorldModel};
 use hvf_core_rs::Error;
 use ndarray::{Array2, Array3, Array4, Ix3, Ix4};
@@ -15,12 +20,14 @@ use pyo3::prelude::*;
 
 use crate::arguments::{array, axes_of, indices, numbers, text, unfit, Given, Real, Text, Whole};
 use crate::error::to_py;
+use crate::maze_layout::{layout_of, other_than_paper, states_in, write_row, Kept};
 use crate::threads::detached;
 
 /// Frames of the maze: states, with the images they were read off where there are any.
 ///
 /// `MazeFrames(states)` takes float64 `[N, 4]`, rows `(x, y, w1, w2)`; its images are drawn where
-/// they are needed, with `image_size` pixels. `MazeWorld.observe` makes frames of images.
+/// they are needed, with `image_size` pixels. `MazeWorld.observe` makes frames of images. With a
+/// `layout` rows are its states, `(x, y, gap, ..)`.
 #[pyclass(name = "MazeFrames", module = "hvf_core", frozen)]
 pub struct PyMazeFrames {
     /// The frames.
@@ -31,14 +38,19 @@ pub struct PyMazeFrames {
 impl PyMazeFrames {
     #[new]
     #[pyo3(
-        signature = (states, image_size = Given::of(64)),
-        text_signature = "(states, image_size=64)"
+        signature = (states, image_size = Given::of(64), layout = None),
+        text_signature = "(states, image_size=64, layout=None)"
     )]
-    fn new(states: &Bound<'_, PyAny>, image_size: Whole) -> PyResult<Self> {
+    fn new(
+        states: &Bound<'_, PyAny>,
+        image_size: Whole,
+        layout: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let layout = other_than_paper(layout_of(layout)?);
         let image_size = image_size.count("image_size")?;
         Renderer::shared(image_size)
             .map_err(|error| PyValueError::new_err(format!("image_size: {error}")))?;
-        let states = crate::maze::states("states", states)?;
+        let states = states_in("states", states, layout.as_deref())?;
         Ok(Self { inner: MazeFrames::from_states(states, image_size) })
     }
 
@@ -53,12 +65,14 @@ impl PyMazeFrames {
         Ok(Self { inner: self.inner.select(&index).map_err(to_py)? })
     }
 
-    /// States, float64 `[N, 4]`, rows `(x, y, w1, w2)` (a copy).
+    /// States, float64 `[N, 4]`, rows `(x, y, w1, w2)`, or those of a layout (a copy).
     #[getter]
     fn states<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
-        let rows: Vec<[f64; 4]> =
-            (0..self.inner.len()).map(|i| self.inner.state(i).to_row()).collect();
-        Array2::from_shape_fn((rows.len(), 4), |(i, column)| rows[i][column]).into_pyarray(py)
+        let rows = match self.inner.states() {
+            States::Paper(states) => rows_of(states.iter()),
+            States::Laid(states) => rows_of(states.iter()),
+        };
+        rows.into_pyarray(py)
     }
 
     /// Images, uint8 `[N, S, S, 3]` (a copy): those that were observed, or else drawn.
@@ -94,7 +108,8 @@ impl PyMazeFrames {
 /// renderer would give and the goal image, computed without drawing it. `blur` is the standard
 /// deviation, in pixels, of a Gaussian blur of both; `over_horizon` says which predicted frames
 /// count: 'last', 'sum' or 'min'. Actions beyond the box count as the nearest within, as in the
-/// environment. The planners use it without the GIL.
+/// environment. Images are read as showing `layout` (None for the paper's maze); frames of states
+/// have their layout with them. The planners use it without the GIL.
 #[pyclass(name = "MazeWorld", module = "hvf_core", frozen)]
 pub struct PyMazeWorld {
     /// The world.
@@ -105,17 +120,31 @@ pub struct PyMazeWorld {
 impl PyMazeWorld {
     #[new]
     #[pyo3(
-        signature = (image_size = Given::of(64), blur = Given::of(0.0), over_horizon = text("last")),
-        text_signature = "(image_size=64, blur=0.0, over_horizon='last')"
+        signature = (
+            image_size = Given::of(64), blur = Given::of(0.0), over_horizon = text("last"),
+            layout = None
+        ),
+        text_signature = "(image_size=64, blur=0.0, over_horizon='last', layout=None)"
     )]
-    fn new(image_size: Whole, blur: Real, over_horizon: Text) -> PyResult<Self> {
+    fn new(
+        image_size: Whole,
+        blur: Real,
+        over_horizon: Text,
+        layout: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let layout = layout_of(layout)?;
         let over_horizon = over_horizon.get("over_horizon")?;
         let over_horizon = OverHorizon::from_name(&over_horizon).map_err(to_py)?;
         let image_size = image_size.count("image_size")?;
         Renderer::shared(image_size)
             .map_err(|error| PyValueError::new_err(format!("image_size: {error}")))?;
         let config = MazeWorldConfig { image_size, blur: blur.get("blur")?, over_horizon };
-        Ok(Self { inner: MazeWorld::new(config).map_err(to_py)? })
+        let world = MazeWorld::new(config).map_err(to_py)?;
+        let inner = match layout {
+            Some(kept) => world.with_layout(Arc::clone(&kept.layout)),
+            None => world,
+        };
+        Ok(Self { inner })
     }
 
     /// Lowest action, float32 `[2]`.
@@ -199,7 +228,7 @@ impl PyMazeWorld {
         Ok(costs.map_err(to_py)?.into_pyarray(py))
     }
 
-    /// States float64 `[D, H, 4]` that `actions [D, H, 2]` lead through from `start`, one frame.
+    /// States float64 `[D, H, S]` that `actions [D, H, 2]` lead through from `start`, one frame.
     fn rollout<'py>(
         &self,
         py: Python<'py>,
@@ -212,11 +241,11 @@ impl PyMazeWorld {
             return Err(PyValueError::new_err(problem));
         }
         let actions = numbers::<f32, Ix3>("actions", actions, "a float array [D, H, 2]")?;
-        let states = detached(py, || self.inner.rollout(start.state(0), actions.view()))?;
-        let rows = states.map_err(to_py)?.mapv(|state| state.to_row());
-        let (d, h) = rows.dim();
-        let columns = |(d, h, column): (usize, usize, usize)| rows[[d, h]][column];
-        Ok(Array3::from_shape_fn((d, h, 4), columns).into_pyarray(py))
+        Ok(match &start.states() {
+            States::Paper(states) => self.rows_of_rollout(py, &states[0], &actions)?,
+            States::Laid(states) => self.rows_of_rollout(py, &states[0], &actions)?,
+        }
+        .into_pyarray(py))
     }
 
     fn __repr__(&self) -> String {
@@ -227,6 +256,21 @@ impl PyMazeWorld {
 }
 
 impl PyMazeWorld {
+    fn rows_of_rollout<S: Ground>(
+        &self,
+        py: Python<'_>,
+        start: &State<S>,
+        actions: &Array3<f32>,
+    ) -> PyResult<Array3<f64>> {
+        let states = detached(py, || self.inner.rollout(start.clone(), actions.view()))?;
+        let states = states.map_err(to_py)?;
+        let (d, h) = states.dim();
+        let rows = rows_of(states.iter());
+        let columns = rows.ncols();
+        let rows = rows.into_shape_with_order((d, h, columns));
+        rows.map_err(|error| PyValueError::new_err(error.to_string()))
+    }
+
     /// Images of this world's size.
     fn images<'py>(
         &self,
@@ -259,19 +303,25 @@ impl PyMazeWorld {
 ///
 /// `decode(scene, latents)` takes one frame of any world (`MazeFrames`, a uint8 image
 /// `[1, S, S, 3]`, or frames with such `images`) and float32 `[M, K, L]`, of which the first two
-/// latents are used, and gives `MazeFrames` of `M * K` frames.
+/// latents are used, and gives `MazeFrames` of `M * K` frames. Images are read as showing
+/// `layout` (None for the paper's maze).
 #[pyclass(name = "MazeSubgoals", module = "hvf_core", frozen)]
 pub struct PyMazeSubgoals {
     inner: MazeSubgoals,
+    layout: Option<Arc<Kept>>,
 }
 
 #[pymethods]
 impl PyMazeSubgoals {
     #[new]
-    #[pyo3(signature = (latent_dim = Given::of(8)), text_signature = "(latent_dim=8)")]
-    fn new(latent_dim: Whole) -> PyResult<Self> {
+    #[pyo3(
+        signature = (latent_dim = Given::of(8), layout = None),
+        text_signature = "(latent_dim=8, layout=None)"
+    )]
+    fn new(latent_dim: Whole, layout: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
         let latent_dim = latent_dim.count("latent_dim")?;
-        Ok(Self { inner: MazeSubgoals::new(latent_dim).map_err(to_py)? })
+        let layout = other_than_paper(layout_of(layout)?);
+        Ok(Self { inner: MazeSubgoals::new(latent_dim).map_err(to_py)?, layout })
     }
 
     /// Latents of one image.
@@ -289,7 +339,7 @@ impl PyMazeSubgoals {
         let latents = numbers::<f32, Ix3>("latents", latents, "a float array [M, K, L]")?;
         let found = match scene.cast::<PyMazeFrames>() {
             Ok(frames) => frames.get().inner.clone(),
-            Err(_) => located(scene)?,
+            Err(_) => located(scene, self.layout.as_deref())?,
         };
         let frames = detached(scene.py(), || self.inner.decode(&found, latents))?;
         Ok(PyMazeFrames { inner: frames.map_err(to_py)? })
@@ -301,7 +351,7 @@ impl PyMazeSubgoals {
 }
 
 /// Frames read off the images of another world's frames.
-fn located(scene: &Bound<'_, PyAny>) -> PyResult<MazeFrames> {
+fn located(scene: &Bound<'_, PyAny>, layout: Option<&Kept>) -> PyResult<MazeFrames> {
     let images = scene.getattr_opt(intern!(scene.py(), "images"))?;
     let images = images.as_ref().unwrap_or(scene);
     let size = match images.cast::<PyUntypedArray>() {
@@ -314,7 +364,24 @@ fn located(scene: &Bound<'_, PyAny>) -> PyResult<MazeFrames> {
     let renderer =
         Renderer::shared(size).map_err(|error| PyValueError::new_err(format!("scene: {error}")))?;
     let bytes = standard.as_slice().unwrap_or_default();
-    detached(scene.py(), || MazeFrames::from_images(&renderer, bytes))?.map_err(to_py)
+    let read = || match layout {
+        None => MazeFrames::from_images(&renderer, bytes),
+        Some(kept) => MazeFrames::from_images_in(&kept.layout, &renderer, bytes),
+    };
+    detached(scene.py(), read)?.map_err(to_py)
+}
+
+/// Rows of states of one layout, `[N, columns]`.
+fn rows_of<'s, S: Ground>(states: impl ExactSizeIterator<Item = &'s State<S>>) -> Array2<f64> {
+    let mut states = states.peekable();
+    let columns = 2 + states.peek().map_or(2, |state| state.scene.gaps().len());
+    let mut rows = Array2::zeros((states.len(), columns));
+    for (mut row, state) in rows.rows_mut().into_iter().zip(states) {
+        if let Some(row) = row.as_slice_mut() {
+            write_row(state, row);
+        }
+    }
+    rows
 }
 
 /// A uint8 array `[N, size, size, 3]`; a single image gets an axis.

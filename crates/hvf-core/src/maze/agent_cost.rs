@@ -20,6 +20,7 @@ use super::agent_kernels::{
     add_scaled, blend_planes, floor_planes, inner_floats, inner_integers, weighted_products, LANES,
 };
 use super::geometry::{State, AGENT_HALF};
+use super::ground::{Ground, Walls};
 use super::render::{blend, Covered, Renderer, AGENT, FLOOR, VIEW};
 use crate::image::{squared_distance_u8, squared_norm_f32, GaussianBlur};
 
@@ -120,11 +121,16 @@ impl AgentCost {
     }
 
     /// What the agent of `state` changes about `scene`, the image of its scene.
-    pub fn patch(&self, renderer: &Renderer, scene: &[u8], state: &State, patch: &mut Patch) {
+    pub fn patch<S: Ground>(
+        &self,
+        renderer: &Renderer,
+        scene: &[u8],
+        state: &State<S>,
+        patch: &mut Patch,
+    ) {
         let agent = renderer.agent_box(state.position);
-        let [open_rows, open_columns] = &self.open;
-        let all = |open: &[bool], pixels: &Range<usize>| open[pixels.clone()].iter().all(|&o| o);
-        let on_floor = all(open_rows, &agent.rows) && all(open_columns, &agent.columns);
+        let walls = state.scene.walls_in(renderer);
+        let on_floor = walls.are_absent(&self.open, &agent.rows, &agent.columns);
         let Some(blurred) = &self.blur else {
             if on_floor {
                 self.patch_on_floor(&agent, patch);
@@ -150,7 +156,7 @@ impl AgentCost {
             let weights = &blurred.floor[patch.top * (self.reach + 1) + rows];
             (columns, (&weights[..], 3))
         } else {
-            self.planes_anywhere(renderer, scene, (state, &agent), patch);
+            self.planes_anywhere(&walls, scene, &agent, patch);
             // Every row is a kind of its own.
             let rows = &blurred.gram[patch.top * (blurred.stride + 1)..];
             (agent.columns.len(), (rows, blurred.stride))
@@ -193,7 +199,13 @@ impl AgentCost {
     }
 
     /// [`Patch::change`] beside walls.
-    fn patch_anywhere(&self, renderer: &Renderer, scene: &[u8], state: &State, patch: &mut Patch) {
+    fn patch_anywhere<S: Ground>(
+        &self,
+        renderer: &Renderer,
+        scene: &[u8],
+        state: &State<S>,
+        patch: &mut Patch,
+    ) {
         let (stride, size) = (self.change_stride(), self.size);
         patch.change.clear();
         patch.kinds.clear();
@@ -220,9 +232,9 @@ impl AgentCost {
     /// [`Patch::planes`] beside walls.
     fn planes_anywhere(
         &self,
-        renderer: &Renderer,
+        walls: &impl Walls,
         scene: &[u8],
-        (state, agent): (&State, &Covered),
+        agent: &Covered,
         patch: &mut Patch,
     ) {
         let (stride, columns) = (self.plane_stride(), agent.columns.len());
@@ -238,7 +250,7 @@ impl AgentCost {
             for (part, column) in patch.parts.iter_mut().zip(agent.columns.clone()) {
                 *part = in_row * Covered::part(column, &agent.columns, agent.column_ends);
             }
-            renderer.walls_in_row(&state.scene, row, &agent.columns, &mut patch.walls);
+            walls.in_row(row, &agent.columns, &mut patch.walls);
             let under = &scene[3 * (row * self.size + agent.columns.start)..][..3 * columns];
             blend_planes(&patch.parts, &patch.walls, under, planes);
         }

@@ -2,11 +2,15 @@
 //!
 //! `N` is the number of mazes, `S` the size of a frame, `T` the steps of an episode.
 
+use std::mem::replace;
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
-use super::episodes::random_interaction;
-use super::geometry::State;
-use super::physics::step;
+use super::episodes::{random_interaction, Episode};
+use super::geometry::{Scene, State};
+use super::ground::Ground;
+use super::layout::{Layout, LayoutScene};
 use super::render::Renderer;
 use crate::{Error, Result};
 
@@ -16,11 +20,11 @@ const STEPS_PER_TASK: usize = 512;
 /// The same for frames.
 const FRAMES_PER_TASK: usize = 16;
 
-/// [`step`] for `states[N]` and `actions[N]`.
+/// One step ([`step`](super::step)) for `states[N]` and `actions[N]`.
 ///
 /// # Errors
 /// Lengths that differ, or an action that is not finite.
-pub fn step_batch(states: &[State], actions: &[[f32; 2]]) -> Result<Vec<State>> {
+pub fn step_batch<S: Ground>(states: &[State<S>], actions: &[[f32; 2]]) -> Result<Vec<State<S>>> {
     if states.len() != actions.len() {
         return Err(Error::invalid(
             "actions",
@@ -33,20 +37,30 @@ pub fn step_batch(states: &[State], actions: &[[f32; 2]]) -> Result<Vec<State>> 
             format!("must be finite, got {:?} at index {index}", actions[index]),
         ));
     }
-    let step = |(state, action): (&State, &[f32; 2])| step(state, action.map(f64::from));
+    let step = |(state, action): (&State<S>, &[f32; 2])| stepped(state, *action);
     if states.len() <= STEPS_PER_TASK {
         return Ok(states.iter().zip(actions).map(step).collect());
     }
     Ok(states.par_iter().zip(actions).with_min_len(STEPS_PER_TASK).map(step).collect())
 }
 
+fn stepped<S: Ground>(state: &State<S>, action: [f32; 2]) -> State<S> {
+    let space = state.scene.space();
+    let position = S::step_from(&space, state.position, action.map(f64::from));
+    State { scene: state.scene.clone(), position }
+}
+
 /// [`Renderer::render`] for `states[N]` into `frames`, `[N, S, S, 3]`.
 ///
 /// # Errors
 /// `frames` of another length than `N` frames.
-pub fn render_batch(renderer: &Renderer, states: &[State], frames: &mut [u8]) -> Result<()> {
+pub fn render_batch<S: Ground>(
+    renderer: &Renderer,
+    states: &[State<S>],
+    frames: &mut [u8],
+) -> Result<()> {
     check_frames(renderer, states.len(), frames.len())?;
-    let render = |(frame, state): (&mut [u8], &State)| renderer.render(state, frame);
+    let render = |(frame, state): (&mut [u8], &State<S>)| renderer.render(state, frame);
     let len = renderer.frame_len();
     if states.len() <= FRAMES_PER_TASK {
         frames.chunks_exact_mut(len).zip(states).for_each(render);
@@ -70,6 +84,11 @@ pub fn locate_batch(renderer: &Renderer, frames: &[u8]) -> Result<Vec<State>> {
         .collect())
 }
 
+/// `count` ground-truth subgoals for each of `episodes[N]`: states `[N, count]`.
+pub fn subgoals_batch<S: Ground>(episodes: &[Episode<S>], count: usize) -> Vec<State<S>> {
+    episodes.par_iter().flat_map_iter(|episode| S::true_subgoals(episode, count)).collect()
+}
+
 fn check_frames(renderer: &Renderer, count: usize, bytes: usize) -> Result<()> {
     if bytes == count * renderer.frame_len() {
         return Ok(());
@@ -82,9 +101,9 @@ fn check_frames(renderer: &Renderer, count: usize, bytes: usize) -> Result<()> {
 }
 
 /// Random interaction of `N` episodes of `T` steps.
-pub struct Interaction {
+pub struct Interaction<S = Scene> {
     /// States `[N, T + 1]`.
-    pub states: Vec<State>,
+    pub states: Vec<State<S>>,
     /// Actions `[N, T]`.
     pub actions: Vec<[f32; 2]>,
 }
@@ -103,23 +122,50 @@ pub fn collect(
     steps: usize,
     frames: &mut [u8],
 ) -> Result<Interaction> {
+    interact(renderer, (first, count, steps), frames, |episode| {
+        random_interaction(seed, episode, steps)
+    })
+}
+
+/// [`collect`] in a layout; episodes draw its gaps.
+///
+/// # Errors
+/// As [`collect`].
+pub fn collect_in(
+    layout: &Arc<Layout>,
+    renderer: &Renderer,
+    seed: u64,
+    first: u64,
+    count: usize,
+    steps: usize,
+    frames: &mut [u8],
+) -> Result<Interaction<Arc<LayoutScene>>> {
+    interact(renderer, (first, count, steps), frames, |episode| {
+        layout.random_interaction(seed, episode, steps)
+    })
+}
+
+fn interact<S: Ground>(
+    renderer: &Renderer,
+    (first, count, steps): (u64, usize, usize),
+    frames: &mut [u8],
+    draw: impl Fn(u64) -> (State<S>, Vec<[f32; 2]>) + Sync,
+) -> Result<Interaction<S>> {
     if steps == 0 {
         return Err(Error::invalid("steps", "must be at least 1"));
     }
     check_frames(renderer, count * (steps + 1), frames.len())?;
-    let episodes: Vec<(Vec<State>, Vec<[f32; 2]>)> = frames
+    let episodes: Vec<(Vec<State<S>>, Vec<[f32; 2]>)> = frames
         .par_chunks_exact_mut(renderer.frame_len() * (steps + 1))
         .enumerate()
         .map(|(index, frames)| {
             let episode = first.wrapping_add(index as u64);
-            let (mut state, actions) = random_interaction(seed, episode, steps);
+            let (mut state, actions) = draw(episode);
             let mut states = Vec::with_capacity(steps + 1);
             for (time, frame) in frames.chunks_exact_mut(renderer.frame_len()).enumerate() {
                 renderer.render(&state, frame);
-                states.push(state);
-                if let Some(action) = actions.get(time) {
-                    state = step(&state, action.map(f64::from));
-                }
+                let next = actions.get(time).map_or(state.clone(), |&a| stepped(&state, a));
+                states.push(replace(&mut state, next));
             }
             (states, actions)
         })

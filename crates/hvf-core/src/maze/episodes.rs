@@ -52,9 +52,9 @@ impl FromStr for Difficulty {
 
 /// A task: reach `target` from `start`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Episode {
+pub struct Episode<S = Scene> {
     /// Scene and start.
-    pub start: State,
+    pub start: State<S>,
     /// Where the agent's centre shall be, m; the agent can stand there.
     pub target: [f64; 2],
 }
@@ -68,12 +68,6 @@ impl Episode {
         let target = [draws.uniform(0.2, 0.28), draws.uniform(-0.28, 0.28)];
         let target = scene.free_space().push_out(target);
         Self { start: State { scene, position: start }, target }
-    }
-
-    /// The state to be reached: the same scene with the agent at the target. Its image is the
-    /// goal image.
-    pub fn goal(&self) -> State {
-        State { scene: self.start.scene, position: self.target }
     }
 
     /// `count` ground-truth subgoals: the agent centred in the gaps that it has to pass, in
@@ -102,8 +96,16 @@ impl Episode {
     }
 }
 
+impl<S: Clone> Episode<S> {
+    /// The state to be reached: the same scene with the agent at the target. Its image is the
+    /// goal image.
+    pub fn goal(&self) -> State<S> {
+        State { scene: self.start.scene.clone(), position: self.target }
+    }
+}
+
 /// Whether the agent is within [`SUCCESS_DISTANCE`] of the target.
-pub fn success(state: &State, target: [f64; 2]) -> bool {
+pub fn success<S>(state: &State<S>, target: [f64; 2]) -> bool {
     let [x, y] = state.position;
     (x - target[0]).hypot(y - target[1]) <= SUCCESS_DISTANCE
 }
@@ -121,26 +123,26 @@ pub fn random_interaction(seed: u64, index: u64, steps: usize) -> (State, Vec<[f
 
 /// What is drawn: tasks and interaction of one seed have nothing in common.
 #[derive(Clone, Copy)]
-enum Purpose {
+pub(super) enum Purpose {
     Task = 1,
     Interaction = 2,
 }
 
 /// Counter-based generator: draw `n` is a hash of (seed, episode, purpose, n). The hash is the
 /// finaliser of SplitMix64 (Steele, Lea & Flood, 2014).
-struct Draws {
+pub(super) struct Draws {
     key: u64,
     drawn: u64,
 }
 
 impl Draws {
-    fn new(seed: u64, episode: u64, purpose: Purpose) -> Self {
+    pub fn new(seed: u64, episode: u64, purpose: Purpose) -> Self {
         let key = mix(seed.wrapping_add(mix(purpose as u64)));
         Self { key: mix(key ^ mix(episode)), drawn: 0 }
     }
 
     /// Uniform in `[low, high)`.
-    fn uniform(&mut self, low: f64, high: f64) -> f64 {
+    pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
         self.drawn += 1;
         let bits = mix(self.key.wrapping_add(self.drawn.wrapping_mul(GOLDEN)));
         let unit = (bits >> 11) as f64 * (1.0 / (1u64 << 53) as f64);

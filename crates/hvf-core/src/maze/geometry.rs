@@ -78,9 +78,9 @@ impl Scene {
 
 /// A scene and where the agent stands in it; velocity is always zero between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct State {
-    /// The maze.
-    pub scene: Scene,
+pub struct State<S = Scene> {
+    /// The maze: the paper's [`Scene`] or another layout's.
+    pub scene: S,
     /// Centre of the agent `[x, y]`, m.
     pub position: [f64; 2],
 }

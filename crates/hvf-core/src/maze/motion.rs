@@ -59,6 +59,66 @@ impl Motion {
         (terminal * time + lag * decayed, terminal + lag * RATE * (1.0 - decayed))
     }
 
+    /// When a motion whose `distance` may also fall, and whose speed and force have any sign, is
+    /// first below `-height` from time `from` on, s; `None` if not until `latest`.
+    ///
+    /// Acceleration keeps its sign, so distance rises or falls, turns once at most, and is solved
+    /// for where it is monotone.
+    pub(super) fn falls_below(&self, height: f64, from: f64, latest: f64) -> Option<f64> {
+        let above = |time: f64| height + self.distance(time);
+        if above(from) < 0.0 {
+            return Some(from);
+        }
+        let falling = self.distance_and_slope(from).1 < 0.0;
+        let turn = || self.turn_time().map_or(latest, |turn| turn.clamp(from, latest));
+        let bends_up = self.force >= DAMPING * self.speed;
+        let (begin, end) = match (bends_up, falling) {
+            (true, false) => return None,
+            (true, true) => (from, turn()),
+            (false, true) => (from, latest),
+            (false, false) => (turn(), latest),
+        };
+        (above(end) < 0.0).then(|| self.crossing(height, begin, end))
+    }
+
+    /// When distance is `-height`, s, which it falls below between two times.
+    fn crossing(&self, height: f64, mut begin: f64, mut end: f64) -> f64 {
+        // Nearly a parabola; solve that, then polish with Newton's method.
+        let (reached, slope) = self.distance_and_slope(begin);
+        let half_bend = (self.force - DAMPING * self.speed) * (0.5 / MASS);
+        let above = height + reached;
+        let root = (slope * slope - 4.0 * half_bend * above).max(0.0).sqrt();
+        let mut time = begin + 2.0 * above / (root - slope).max(f64::MIN_POSITIVE);
+        if !(time >= begin && time <= end) {
+            time = 0.5 * (begin + end);
+        }
+        for _ in 0..60 {
+            let (reached, slope) = self.distance_and_slope(time);
+            let error = height + reached;
+            if error < 0.0 {
+                end = time;
+            } else {
+                begin = time;
+            }
+            let newton = time - error / slope;
+            let next = if newton >= begin && newton <= end { newton } else { 0.5 * (begin + end) };
+            // Each step squares the relative error.
+            if (next - time).abs() <= 1e-9 * time {
+                return next;
+            }
+            time = next;
+        }
+        time
+    }
+
+    /// When a motion turns round, s; `None` if it never does. May be negative: it has turned.
+    pub(super) fn turn_time(&self) -> Option<f64> {
+        // slope(t) = 0, solved for t.
+        let terminal = self.force * (1.0 / DAMPING);
+        let ratio = (terminal - self.speed) * TAU * RATE / terminal;
+        (ratio > 0.0).then(|| libm::log(ratio) / RATE)
+    }
+
     /// When a braking force brings the agent to rest, s; `None` if the force does not brake.
     pub fn stop_time(&self) -> Option<f64> {
         if self.force >= 0.0 {

@@ -35,7 +35,7 @@ pub const FRICTION: f64 = 1.0;
 const MOST_CONTACTS: usize = 24;
 
 /// How far a force of 1 N carries the agent in one step if it meets nothing, m.
-const FREE_TRAVEL: f64 = Motion { speed: 0.0, force: 1.0 }.distance(STEP_SECONDS);
+pub(super) const FREE_TRAVEL: f64 = Motion { speed: 0.0, force: 1.0 }.distance(STEP_SECONDS);
 
 /// The state after half a second of `action` (units of [`GEAR`] newtons, clipped to
 /// `+-`[`ACTION_LIMIT`]).

@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::geometry::{
     Scene, State, AGENT_HALF, ARENA, BORDER, GAP_HALF, GAP_RANGE, WALL_HALF, WALL_X,
 };
+use super::ground::{Ground, Walls};
 use crate::{Error, Result};
 
 /// Frames show `[-VIEW, VIEW]` on both axes, m.
@@ -106,7 +107,7 @@ impl Renderer {
     ///
     /// # Panics
     /// If `frame` does not have [`frame_len`](Self::frame_len) bytes.
-    pub fn render(&self, state: &State, frame: &mut [u8]) {
+    pub fn render<S: Ground>(&self, state: &State<S>, frame: &mut [u8]) {
         self.render_scene(&state.scene, frame);
         self.render_agent(state, |pixel, colour| {
             frame[3 * pixel..3 * pixel + 3].copy_from_slice(&colour);
@@ -117,7 +118,12 @@ impl Renderer {
     ///
     /// # Panics
     /// If `frame` does not have [`frame_len`](Self::frame_len) bytes.
-    pub fn render_scene(&self, scene: &Scene, frame: &mut [u8]) {
+    pub fn render_scene<S: Ground>(&self, scene: &S, frame: &mut [u8]) {
+        scene.walls_in(self).draw(frame);
+    }
+
+    /// The paper's two walls.
+    pub(super) fn draw_two_walls(&self, scene: &Scene, frame: &mut [u8]) {
         frame.copy_from_slice(&self.closed);
         let axis = Axis { size: self.size };
         for ((x, y), covered) in WALL_X.into_iter().zip(scene.gap_y).zip(&self.wall_columns) {
@@ -139,7 +145,8 @@ impl Renderer {
     /// each, where `pixel` is `row * size + column`, in ascending order. All other pixels are as
     /// in [`render_scene`](Self::render_scene).
     #[inline]
-    pub fn render_agent(&self, state: &State, mut visit: impl FnMut(usize, [u8; 3])) {
+    pub fn render_agent<S: Ground>(&self, state: &State<S>, mut visit: impl FnMut(usize, [u8; 3])) {
+        let walls = state.scene.walls_in(self);
         let agent = self.agent_box(state.position);
         for row in agent.rows.clone() {
             let in_row = Covered::part(row, &agent.rows, agent.row_ends);
@@ -149,7 +156,7 @@ impl Renderer {
                 if part >= 1.0 {
                     visit(pixel, AGENT);
                 } else if part > 0.0 {
-                    visit(pixel, blend(self.walls_at(&state.scene, row, col), part));
+                    visit(pixel, blend(walls.at(row, col), part));
                 }
             }
         }
@@ -181,7 +188,7 @@ impl Renderer {
 
     /// The part of a pixel that walls cover.
     #[inline]
-    fn walls_at(&self, scene: &Scene, row: usize, col: usize) -> f64 {
+    pub(super) fn walls_at(&self, scene: &Scene, row: usize, col: usize) -> f64 {
         let mut walls = self.closed_walls[row * self.size + col];
         if walls == 0.0 {
             return 0.0;
@@ -234,9 +241,6 @@ impl Renderer {
         assert_eq!(frame.len(), self.frame_len());
         let size = self.size;
         let axis = Axis { size };
-        let pixels = || frame.chunks_exact(3);
-        let agent: Vec<f64> =
-            pixels().map(|colour| unmix(&UNMIX_AGENT, colour).clamp(0.0, 1.0)).collect();
         let gap_y = std::array::from_fn(|wall| {
             let columns = &self.wall_columns[wall];
             let squares: f64 = columns.iter().map(|column| column * column).sum();
@@ -251,6 +255,17 @@ impl Renderer {
             }
             (-axis.centre(&open, GAP_HALF)).clamp(-GAP_RANGE, GAP_RANGE)
         });
+        let position = self.locate_agent(frame);
+        let scene = Scene { gap_y };
+        State { scene, position: scene.free_space().push_out(position) }
+    }
+
+    /// Where the agent is in a frame, m.
+    pub(super) fn locate_agent(&self, frame: &[u8]) -> [f64; 2] {
+        let (size, axis) = (self.size, Axis { size: self.size });
+        let pixels = frame.chunks_exact(3);
+        let agent: Vec<f64> =
+            pixels.map(|colour| unmix(&UNMIX_AGENT, colour).clamp(0.0, 1.0)).collect();
         // Only the part of the frame where the agent is, and a pixel around it.
         let (top, left) = axis.brightest_window(&agent, AGENT_HALF);
         let (mut agent_rows, mut agent_columns) = (vec![0.0; size], vec![0.0; size]);
@@ -261,10 +276,7 @@ impl Renderer {
                 agent_columns[col] += agent[row * size + col];
             }
         }
-        let position =
-            [axis.centre(&agent_columns, AGENT_HALF), -axis.centre(&agent_rows, AGENT_HALF)];
-        let scene = Scene { gap_y };
-        State { scene, position: scene.free_space().push_out(position) }
+        [axis.centre(&agent_columns, AGENT_HALF), -axis.centre(&agent_rows, AGENT_HALF)]
     }
 }
 
@@ -296,25 +308,40 @@ impl Covered {
 
 /// One axis of a frame: `size` pixels over `[-VIEW, VIEW]`.
 #[derive(Clone, Copy)]
-struct Axis {
+pub(super) struct Axis {
     size: usize,
 }
 
 impl Axis {
+    pub fn new(size: usize) -> Self {
+        Self { size }
+    }
+
+    pub fn size(self) -> usize {
+        self.size
+    }
+
+    /// What a pixel of a square frame shows: `[[low x, high x], [low y, high y]]`, m.
+    pub fn rectangle(self, pixel: usize) -> [[f64; 2]; 2] {
+        let (row, col) = (pixel / self.size, pixel % self.size);
+        [[self.edge(col), self.edge(col + 1)], [-self.edge(row + 1), -self.edge(row)]]
+    }
+
+    /// Width of a pixel, m.
     #[inline]
-    fn pixel(self) -> f64 {
+    pub fn pixel(self) -> f64 {
         2.0 * VIEW / self.size as f64
     }
 
     /// Where pixel `index` begins.
     #[inline]
-    fn edge(self, index: usize) -> f64 {
+    pub fn edge(self, index: usize) -> f64 {
         index as f64 * self.pixel() - VIEW
     }
 
     /// The pixels that `[low, high]` overlaps.
     #[inline]
-    fn pixels(self, low: f64, high: f64) -> Range<usize> {
+    pub fn pixels(self, low: f64, high: f64) -> Range<usize> {
         let scale = self.size as f64 / (2.0 * VIEW);
         let first = ((low + VIEW) * scale).floor().max(0.0) as usize;
         let last = ((high + VIEW) * scale).ceil().clamp(0.0, self.size as f64) as usize;
@@ -323,7 +350,7 @@ impl Axis {
 
     /// The part of pixel `index` that `[low, high]` covers.
     #[inline]
-    fn covered(self, index: usize, low: f64, high: f64) -> f64 {
+    pub fn covered(self, index: usize, low: f64, high: f64) -> f64 {
         let scale = self.size as f64 / (2.0 * VIEW);
         let begin = (low + VIEW) * scale - index as f64;
         let end = (high + VIEW) * scale - index as f64;
@@ -418,6 +445,12 @@ pub(super) fn blend(walls: f64, agent: f64) -> [u8; 3] {
 #[inline]
 fn unmix(weights: &[f64; 3], colour: &[u8]) -> f64 {
     (0..3).map(|i| weights[i] * (f64::from(colour[i]) - f64::from(FLOOR[i]))).sum()
+}
+
+/// The part of a pixel that walls cover, by its colour.
+#[inline]
+pub(super) fn wall_part(colour: &[u8]) -> f64 {
+    unmix(&UNMIX_WALLS, colour)
 }
 
 const UNMIX_WALLS: [f64; 3] = unmixing(WALL, AGENT);

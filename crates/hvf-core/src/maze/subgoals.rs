@@ -1,9 +1,12 @@
 //! The oracle among subgoal generators: images of the scene with the agent where it can stand.
 
+use std::sync::Arc;
+
 use ndarray::{Array3, ArrayView1};
 
-use super::frames::MazeFrames;
+use super::frames::{MazeFrames, States};
 use super::geometry::{Scene, State, AGENT_HALF, GAP_HALF, REACH, WALL_HALF, WALL_X};
+use super::layout::{LayoutState, Obstacles};
 use crate::planner::{Frames, SubgoalModel};
 use crate::{Error, Result};
 
@@ -80,12 +83,29 @@ impl SubgoalModel<MazeFrames> for MazeSubgoals {
         if let Some(latent) = latents.iter().find(|latent| !latent.is_finite()) {
             return Err(Error::invalid("latents", format!("must be finite, got {latent}")));
         }
-        let (scene, image_size) = (scene.state(0).scene, scene.image_size());
-        let space = scene.free_space();
-        let state =
-            |latent| State { scene, position: space.push_out(Self::position(&scene, latent)) };
-        let states = latents.rows().into_iter().map(state).collect();
-        Ok(MazeFrames::from_states(states, image_size))
+        let image_size = scene.image_size();
+        Ok(match &scene.states() {
+            States::Paper(states) => {
+                let scene = states[0].scene;
+                let space = scene.free_space();
+                let place = |latent| space.push_out(Self::position(&scene, latent));
+                let state = |latent| State { scene, position: place(latent) };
+                let states: Vec<State> = latents.rows().into_iter().map(state).collect();
+                MazeFrames::from_states(states, image_size)
+            }
+            States::Laid(states) => {
+                let scene = &states[0].scene;
+                let room = Room::of(scene.obstacles());
+                let place = |latent: ArrayView1<'_, f32>| {
+                    let [x, y] = [latent[0], latent[1]].map(|z| normal_distribution(f64::from(z)));
+                    scene.obstacles().push_out(room.place(x, y))
+                };
+                let state =
+                    |latent| LayoutState { scene: Arc::clone(scene), position: place(latent) };
+                let states: Vec<LayoutState> = latents.rows().into_iter().map(state).collect();
+                MazeFrames::from_states(states, image_size)
+            }
+        })
     }
 }
 
@@ -115,4 +135,49 @@ fn strips(scene: &Scene) -> [Strip; 5] {
 /// The distribution function of `N(0, 1)`.
 fn normal_distribution(z: f64) -> f64 {
     0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2)
+}
+
+/// Free space of any layout in narrow columns, to a grid of [`Room::CELLS`] on each axis.
+struct Room {
+    reach: [f64; 2],
+    /// Free cells of each column, from below, and of all columns up to and with it.
+    columns: Vec<(Vec<usize>, usize)>,
+}
+
+impl Room {
+    const CELLS: usize = 110;
+
+    fn of(space: &Obstacles) -> Self {
+        let reach = space.reach();
+        let middle = |axis: usize, cell: usize| {
+            reach[axis] * (2.0 * (cell as f64 + 0.5) / Self::CELLS as f64 - 1.0)
+        };
+        let mut total = 0;
+        let columns = (0..Self::CELLS)
+            .map(|column| {
+                let free = |&row: &usize| space.contains([middle(0, column), middle(1, row)]);
+                let rows: Vec<usize> = (0..Self::CELLS).filter(free).collect();
+                total += rows.len();
+                (rows, total)
+            })
+            .collect();
+        Self { reach, columns }
+    }
+
+    /// The place at parts of the area from the left, and of the column there from below.
+    fn place(&self, across: f64, up: f64) -> [f64; 2] {
+        let total = self.columns.last().map_or(0, |(_, total)| *total);
+        let wanted = across * total as f64;
+        let column = self.columns.partition_point(|(_, upto)| (*upto as f64) < wanted);
+        let Some((rows, upto)) = self.columns.get(column).filter(|(rows, _)| !rows.is_empty())
+        else {
+            return [0.0; 2];
+        };
+        let within = (wanted - (upto - rows.len()) as f64) / rows.len() as f64;
+        let height = up * rows.len() as f64;
+        let row = rows[(height as usize).min(rows.len() - 1)] as f64 + height.fract();
+        let at =
+            |axis: usize, cell: f64| self.reach[axis] * (2.0 * cell / Self::CELLS as f64 - 1.0);
+        [at(0, column as f64 + within), at(1, row)]
+    }
 }

@@ -1,12 +1,16 @@
 //! The maze as a world model: its true simulator, its renderer and the pixel cost.
 
-use ndarray::{Array2, ArrayView2, ArrayView3, Axis};
+use std::sync::Arc;
+
+use ndarray::{Array2, ArrayView2, ArrayView3, ArrayView4, Axis};
 use rayon::prelude::*;
 
 use super::agent_cost::{AgentCost, GoalTerms, Patch};
-use super::frames::MazeFrames;
-use super::geometry::{FreeSpace, State};
-use super::physics::{step_within, ACTION_LIMIT};
+use super::frames::{MazeFrames, States};
+use super::geometry::State;
+use super::ground::Ground;
+use super::layout::Layout;
+use super::physics::ACTION_LIMIT;
 use super::render::{Renderer, IMAGE_SIZE};
 use crate::image::{GaussianBlur, OverHorizon};
 use crate::planner::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel};
@@ -60,6 +64,7 @@ pub struct MazeWorld {
     renderer: Renderer,
     cost: AgentCost,
     actions: ActionSpace,
+    layout: Option<Arc<Layout>>,
 }
 
 impl MazeWorld {
@@ -76,7 +81,19 @@ impl MazeWorld {
             cost: AgentCost::new(&renderer, blur),
             renderer,
             actions: ActionSpace::new(vec![-limit; 2], vec![limit; 2])?,
+            layout: None,
         })
+    }
+
+    /// The same world of another layout: images are read as showing it. Frames of states have
+    /// their layout with them.
+    pub fn with_layout(self, layout: Arc<Layout>) -> Self {
+        Self { layout: layout.difficulty().is_none().then_some(layout), ..self }
+    }
+
+    /// The layout that images show, if it is not the paper's.
+    pub fn layout(&self) -> Option<&Arc<Layout>> {
+        self.layout.as_ref()
     }
 
     /// The settings it was made with.
@@ -94,28 +111,36 @@ impl MazeWorld {
     /// # Errors
     /// Bytes that are not a whole number of images of this world's size.
     pub fn observe(&self, images: &[u8]) -> Result<MazeFrames> {
-        MazeFrames::from_images(&self.renderer, images)
+        match &self.layout {
+            None => MazeFrames::from_images(&self.renderer, images),
+            Some(layout) => MazeFrames::from_images_in(layout, &self.renderer, images),
+        }
     }
 
     /// States `[D, H]` that `actions[D, H, 2]` lead through from `start`.
     ///
     /// # Errors
     /// Actions of another dimension, or not finite.
-    pub fn rollout(&self, start: State, actions: ArrayView3<'_, f32>) -> Result<Array2<State>> {
+    pub fn rollout<S: Ground>(
+        &self,
+        start: State<S>,
+        actions: ArrayView3<'_, f32>,
+    ) -> Result<Array2<State<S>>> {
         check_actions(actions.iter(), actions.len_of(Axis(2)))?;
         let (candidates, steps, _) = actions.dim();
-        let space = start.scene.free_space();
-        let mut states = Array2::from_elem((candidates, steps), start);
+        let space = start.scene.space();
+        let mut states = Array2::from_elem((candidates, steps), start.clone());
         states.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(d, mut row)| {
-            roll(&space, start, actions.index_axis(Axis(0), d), |step, state| row[step] = state);
+            let actions = actions.index_axis(Axis(0), d);
+            roll(&space, &start, actions, |step, state| row[step].position = state.position);
         });
         Ok(states)
     }
 
     /// The image of the start's scene without the agent, and what its candidates have in common.
-    fn terms(
+    fn terms<S: Ground>(
         &self,
-        start: &State,
+        start: &State<S>,
         goals: &MazeFrames,
         goal: usize,
     ) -> Result<(Vec<u8>, GoalTerms)> {
@@ -133,17 +158,17 @@ impl MazeWorld {
 
 /// Hands the state after every action of `actions[H, 2]` to `visit(step, state)`.
 #[inline]
-fn roll(
-    space: &FreeSpace,
-    start: State,
+fn roll<S: Ground>(
+    space: &S::Space,
+    start: &State<S>,
     actions: ArrayView2<'_, f32>,
-    mut visit: impl FnMut(usize, State),
+    mut visit: impl FnMut(usize, &State<S>),
 ) {
-    let mut state = start;
+    let mut state = start.clone();
     for (step, action) in actions.rows().into_iter().enumerate() {
         let action = [f64::from(action[0]), f64::from(action[1])];
-        state.position = step_within(space, state.position, action);
-        visit(step, state);
+        state.position = S::step_from(space, state.position, action);
+        visit(step, &state);
     }
 }
 
@@ -190,15 +215,40 @@ impl WorldModel for MazeWorld {
         goals: &MazeFrames,
         Candidates { actions, .. }: Candidates,
     ) -> Result<Array2<f32>> {
-        let (problems, candidates, steps, dim) = actions.dim();
+        let (problems, _, _, dim) = actions.dim();
         check_count("starts", starts, problems)?;
         check_count("goals", goals, problems)?;
         check_dim(dim)?;
+        match &starts.states() {
+            States::Paper(starts) => self.costs_from(starts, goals, actions.view()),
+            States::Laid(starts) => self.costs_from(starts, goals, actions.view()),
+        }
+    }
+
+    fn shared_rollout_costs(
+        &self,
+        start: &MazeFrames,
+        goals: &MazeFrames,
+        SharedCandidates { actions, .. }: SharedCandidates,
+    ) -> Option<Result<Array2<f32>>> {
+        Some(self.shared_costs(start, goals, actions.view()))
+    }
+}
+
+impl MazeWorld {
+    /// Planning costs `[B, D]` from `starts[B]` in any layout.
+    fn costs_from<S: Ground>(
+        &self,
+        starts: &[State<S>],
+        goals: &MazeFrames,
+        actions: ArrayView4<'_, f32>,
+    ) -> Result<Array2<f32>> {
+        let (problems, candidates, steps, _) = actions.dim();
         let mut costs = Array2::zeros((problems, candidates));
         costs.axis_iter_mut(Axis(0)).into_par_iter().enumerate().try_for_each(|(b, mut row)| {
-            let start = starts.state(b);
-            let space = start.scene.free_space();
-            let (scene, terms) = self.terms(&start, goals, b)?;
+            let start = &starts[b];
+            let space = start.scene.space();
+            let (scene, terms) = self.terms(start, goals, b)?;
             let actions = actions.index_axis(Axis(0), b);
             row.axis_iter_mut(Axis(0))
                 .into_par_iter()
@@ -213,7 +263,7 @@ impl WorldModel for MazeWorld {
                     let mut tally = self.config.over_horizon.start();
                     roll(&space, start, actions, |step, state| {
                         if self.counts(step, steps) {
-                            self.cost.patch(&self.renderer, &scene, &state, patch);
+                            self.cost.patch(&self.renderer, &scene, state, patch);
                             let cost = self.cost.cost(&terms, patch);
                             tally = self.config.over_horizon.add(tally, cost);
                         }
@@ -225,17 +275,6 @@ impl WorldModel for MazeWorld {
         Ok(costs)
     }
 
-    fn shared_rollout_costs(
-        &self,
-        start: &MazeFrames,
-        goals: &MazeFrames,
-        SharedCandidates { actions, .. }: SharedCandidates,
-    ) -> Option<Result<Array2<f32>>> {
-        Some(self.shared_costs(start, goals, actions.view()))
-    }
-}
-
-impl MazeWorld {
     fn shared_costs(
         &self,
         start: &MazeFrames,
@@ -243,12 +282,24 @@ impl MazeWorld {
         actions: ArrayView3<'_, f32>,
     ) -> Result<Array2<f32>> {
         check_count("start", start, 1)?;
+        match &start.states() {
+            States::Paper(states) => self.shared_costs_from(&states[0], goals, actions),
+            States::Laid(states) => self.shared_costs_from(&states[0], goals, actions),
+        }
+    }
+
+    fn shared_costs_from<S: Ground>(
+        &self,
+        start: &State<S>,
+        goals: &MazeFrames,
+        actions: ArrayView3<'_, f32>,
+    ) -> Result<Array2<f32>> {
         let known: Vec<bool> = actions.outer_iter().map(are_finite).collect();
         let tame = actions.mapv(|a| if a.is_finite() { a } else { 0.0 });
-        let states = self.rollout(start.state(0), tame.view())?;
+        let states = self.rollout(start.clone(), tame.view())?;
         let (candidates, steps) = states.dim();
         let mut scene = vec![0; self.renderer.frame_len()];
-        self.renderer.render_scene(&start.state(0).scene, &mut scene);
+        self.renderer.render_scene(&start.scene, &mut scene);
         let patches: Vec<Vec<Patch>> = states
             .axis_iter(Axis(0))
             .into_par_iter()
@@ -264,7 +315,7 @@ impl MazeWorld {
             .collect();
         let mut costs = Array2::zeros((goals.len(), candidates));
         costs.axis_iter_mut(Axis(0)).into_par_iter().enumerate().try_for_each(|(b, mut row)| {
-            let (_, terms) = self.terms(&start.state(0), goals, b)?;
+            let (_, terms) = self.terms(start, goals, b)?;
             for ((cost, patches), &known) in row.iter_mut().zip(&patches).zip(&known) {
                 if !known {
                     *cost = f32::NAN;
