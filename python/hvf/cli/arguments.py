@@ -57,8 +57,12 @@ def domain_named(verb: str, words: Sequence[str]) -> tuple[Domain, list[str]]:
     """The domain that the words begin with, and the rest; see :func:`named`."""
     name, rest = named(verb, DOMAINS, lambda name: DOMAINS[name].about, words)
     domain = DOMAINS[name]
-    if domain.task_word != "task":
-        rest = [_renamed(word, f"--{domain.task_word}", "--task") for word in rest]
+    words_for_task = {domain.task_word}
+    # Collections have an option of that name themselves.
+    if domain.more_tasks is not None and verb != "collect":
+        words_for_task.add(domain.more_tasks.option)
+    for word_for_task in words_for_task - {"task"}:
+        rest = [_renamed(word, f"--{word_for_task}", "--task") for word in rest]
     return domain, rest
 
 
@@ -180,6 +184,7 @@ def choices(domain: Domain) -> str:
     lines = [
         f"{domain.name}: {domain.about}.",
         f"tasks ({domain.task_word}): {', '.join(domain.tasks) or 'none'}",
+        *_more(domain),
         *(f"preset {name}: {preset.about}" for name, preset in domain.presets.items()),
         *(f"method {name}: {METHODS[name].about}" for name in METHODS),
         f"dynamics and generators: {', '.join(domain.weights) or 'none ship'}, simulator, oracle, "
@@ -187,6 +192,12 @@ def choices(domain: Domain) -> str:
         *(f"cost {name}: {COSTS[name].about}" for name in COSTS),
     ]
     return "\n\n".join(lines)
+
+
+def _more(domain: Domain) -> list[str]:
+    """What else may be named as a task."""
+    more = domain.more_tasks
+    return [] if more is None else [f"--{more.option}, in place of --task: {more.about}"]
 
 
 def _renamed(word: str, old: str, new: str) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,10 @@ class Place:
             ValueError: there are none here.
         """
         raise ValueError("domain: has no episodes to act in, only recorded ones")
+
+    def of_task(self, task: str) -> Place:
+        """The place as a task has it, where true dynamics depend on the task; else itself."""
+        return self
 
     def simulator(self, planning: Planning) -> WorldModel[Any]:
         """True dynamics as a world model.
@@ -65,6 +69,27 @@ class Place:
         self.close()
 
 
+class MoreTasks(Protocol):
+    """Tasks beyond those that a domain lists: of names with a number in them, or of files."""
+
+    option: str
+    """Another name of the option ``--task`` on the command line."""
+    about: str
+    """What may be named, in a line."""
+
+    def steps(self, task: str) -> int:
+        """Steps of an episode of a task.
+
+        Raises:
+            ValueError, FileNotFoundError: there is no such task.
+        """
+        ...
+
+    def parts(self, task: str) -> Mapping[str, str]:
+        """What takes part in a task that reports should name, by its part."""
+        ...
+
+
 Published = Mapping[tuple[str, int], Mapping[str, float]]
 """Method and number of subgoals to success by task, as fractions."""
 
@@ -80,6 +105,7 @@ class Domain:
         action_low: lowest action, ``A`` numbers; none where nothing is acted, and the dynamics say.
         action_high: highest action.
         tasks: name to steps of an episode (T), the default task last; none for recorded video.
+        more_tasks: tasks beyond these, if there are any.
         task_word: what the paper calls them: "difficulty", "task".
         presets: plan settings by name; "default" is one of them.
         weights: checkpoints that ship, by the names that settings use for them.
@@ -100,6 +126,7 @@ class Domain:
     action_low: tuple[float, ...]
     action_high: tuple[float, ...]
     tasks: Mapping[str, int] = field(default_factory=dict)
+    more_tasks: MoreTasks | None = None
     task_word: str = "task"
     presets: Mapping[str, Preset] = field(default_factory=lambda: {"default": Preset(Planning())})
     weights: Mapping[str, Path] = field(default_factory=dict)
@@ -145,20 +172,33 @@ class Domain:
 
         Raises:
             ValueError: it is so, or there are no tasks at all.
+            FileNotFoundError: it is to be read from a file that is not there.
+        """
+        self.steps(task)
+
+    def steps(self, task: str) -> int:
+        """Steps of an episode of a task (T).
+
+        Raises:
+            ValueError, FileNotFoundError: as :meth:`check_task`.
         """
         if not self.tasks:
             raise ValueError(
                 f"domain: {self.name} has no episodes to act in; `hvf plan {self.name}` and "
                 "`hvf subgoals` work on its recorded ones"
             )
-        if task not in self.tasks:
-            words = ", ".join(self.tasks)
-            raise ValueError(f"task: must be one of {words}; got {task!r}")
+        if task in self.tasks:
+            return self.tasks[task]
+        if self.more_tasks is not None:
+            return self.more_tasks.steps(task)
+        words = ", ".join(self.tasks)
+        raise ValueError(f"task: must be one of {words}; got {task!r}")
 
-    def steps(self, task: str) -> int:
-        """Steps of an episode of a task (T)."""
-        self.check_task(task)
-        return self.tasks[task]
+    def parts(self, task: str) -> Mapping[str, str]:
+        """What takes part in a task that reports should name, by its part."""
+        if task in self.tasks or self.more_tasks is None:
+            return {}
+        return self.more_tasks.parts(task)
 
     def open(self, workers: int = 0) -> Place:
         """Start what simulates it.

@@ -1,9 +1,14 @@
-"""The maze of Nair & Finn (2020), section 6.1: two walls with a gap each, simulated in Rust."""
+"""The maze of Nair & Finn (2020), section 6.1: two walls with a gap each, simulated in Rust.
+
+Its tasks are the paper's three difficulties, and layouts (:mod:`hvf.envs.maze.layouts`): other
+walls, starts and targets, by name or from a TOML file.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +16,9 @@ from numpy.typing import NDArray
 import hvf_core
 from hvf.domains.domain import Domain, Place
 from hvf.domains.weights import WEIGHTS
+from hvf.envs.maze.layouts import NAMES, LayoutLike, fingerprint, layout_of
 from hvf.protocols import Images, Indices, SubgoalModel, WorldModel
 from hvf.settings import Planning, Preset, World
-
-if TYPE_CHECKING:
-    from hvf.envs.maze.task import Difficulty
 
 STEPS = 50
 """Steps of an episode, ``T``."""
@@ -25,16 +28,22 @@ class MazeTrials:
     """Episodes ``first..first + count`` of a seed, side by side, stepped by the Rust simulator.
 
     Attributes:
-        states: where they are, float64 ``[B, 4]``.
+        layout: walls, where they start and aim.
+        states: where they are, float64 ``[B, 4]``, or as many numbers as a layout's states have.
         targets: where they should be, float64 ``[B, 2]``.
     """
 
     def __init__(
-        self, seed: int, first: int, count: int, difficulty: str, image_size: int = 64
+        self,
+        seed: int,
+        first: int,
+        count: int,
+        layout: LayoutLike,
+        image_size: int = 64,
     ) -> None:
         self.image_size = image_size
-        chosen = cast("Difficulty", difficulty)  # checked in Rust
-        self.states, self.targets = hvf_core.maze_episodes(seed, first, count, chosen)
+        self.layout = layout_of(layout)
+        self.states, self.targets = hvf_core.maze_episodes(seed, first, count, layout=self.layout)
         self._goals = self._render(np.concatenate([self.targets, self.states[:, 2:]], axis=1))
 
     @property
@@ -52,17 +61,20 @@ class MazeTrials:
 
     def step(self, which: Indices, actions: NDArray[np.float32]) -> dict[int, str]:
         """Apply ``actions[N, 2]`` for half a second; nothing can go wrong."""
-        self.states[which] = hvf_core.maze_step(self.states[which], actions)
+        self.states[which] = hvf_core.maze_step(self.states[which], actions, self.layout)
         return {}
 
     def success(self, which: Indices) -> NDArray[np.bool_]:
         """Return whether agents are within 0.05 m of their targets."""
-        return hvf_core.maze_success(self.states[which], self.targets[which])
+        return hvf_core.maze_success(self.states[which], self.targets[which], self.layout)
 
     def true_subgoals(self, count: int) -> Images:
-        """Return images of the agent in the gaps that it has to pass, ``[B, count, S, S, 3]``."""
-        states = hvf_core.maze_subgoals(self.states, self.targets, count)
-        images = self._render(states.reshape(-1, 4))
+        """Return images of the agent on its way, ``[B, count, S, S, 3]``.
+
+        In the gaps that it has to pass; in a layout at equal parts of the shortest way.
+        """
+        states = hvf_core.maze_subgoals(self.states, self.targets, count, self.layout)
+        images = self._render(states.reshape(-1, states.shape[-1]))
         return images.reshape(len(self), count, *images.shape[1:])
 
     def positions(self, which: Indices) -> NDArray[np.float64]:
@@ -81,23 +93,52 @@ class MazeTrials:
         return np.stack([right, down], axis=1) * self.image_size / (2 * view) - 0.5
 
     def _render(self, states: NDArray[np.float64]) -> Images:
-        return hvf_core.maze_render(states, self.image_size)
+        return hvf_core.maze_render(states, self.image_size, self.layout)
 
 
 class Maze(Place):
-    """The maze, ready: nothing to start."""
+    """The maze, ready: nothing to start.
+
+    Args:
+        layout: of the true dynamics; None for the paper's.
+    """
+
+    def __init__(self, layout: hvf_core.MazeLayout | None = None) -> None:
+        self._layout = layout
 
     def trials(self, task: str, seed: int, first: int, count: int) -> MazeTrials:
-        """Fresh trials; the task is the difficulty."""
+        """Fresh trials; the task is the difficulty, or a layout."""
         return MazeTrials(seed, first, count, task)
+
+    def of_task(self, task: str) -> Maze:
+        """The maze in the layout of a task."""
+        return Maze(layout_of(task))
 
     def simulator(self, planning: Planning) -> WorldModel[Any]:
         """The true maze, in Rust."""
-        return hvf_core.MazeWorld(blur=planning.blur, over_horizon=planning.over_horizon)
+        return hvf_core.MazeWorld(
+            blur=planning.blur, over_horizon=planning.over_horizon, layout=self._layout
+        )
 
     def oracle(self) -> SubgoalModel[Any]:
         """What draws the agent at true positions."""
-        return hvf_core.MazeSubgoals()
+        return hvf_core.MazeSubgoals(layout=self._layout)
+
+
+class Layouts:
+    """Tasks that are layouts (:class:`hvf.domains.domain.MoreTasks`)."""
+
+    option = "layout"
+    about = f"layouts: {NAMES} (N from 1 to 7), or a TOML file"
+
+    def steps(self, task: str) -> int:
+        """As many as in the paper's maze, of any layout that there is."""
+        layout_of(task)
+        return STEPS
+
+    def parts(self, task: str) -> Mapping[str, str]:
+        """The layout, and what it is where it is read from a file."""
+        return {"layout": fingerprint(layout_of(task))}
 
 
 _OBJECTS = World("keypoint")
@@ -111,6 +152,7 @@ MAZE = Domain(
     action_low=(-hvf_core.MAZE_ACTION_LIMIT,) * 2,
     action_high=(hvf_core.MAZE_ACTION_LIMIT,) * 2,
     tasks={"easy": STEPS, "medium": STEPS, "hard": STEPS},
+    more_tasks=Layouts(),
     task_word="difficulty",
     presets={
         "default": Preset(
@@ -151,5 +193,5 @@ MAZE = Domain(
         ("hvf", 2): {"hard": 0.54},
     },
     collection="hvf.domains.maze_collection:MazeCollection",
-    groups={"agent": slice(0, 2), "gaps": slice(2, 4)},
+    groups={"agent": slice(0, 2), "gaps": slice(2, None)},
 )

@@ -22,7 +22,7 @@ class Evaluation:
 
     Attributes:
         domain: name of the domain.
-        task: what is to be done there: one of its tasks.
+        task: what is to be done there: one of its tasks; in the maze also a layout.
         method: what acts: "hvf" searches for subgoals, "none" plans straight to the goal,
             "ground-truth" gets the domain's own subgoals, "random" acts at random.
         subgoals: number of subgoals (K), for methods that have any.
@@ -122,7 +122,10 @@ class Evaluation:
 
     @property
     def world_names(self) -> dict[str, str]:
-        """What takes part, by its part: "dynamics", "generator", "cost", "method"."""
+        """What takes part, by its part: "dynamics", "generator", "cost", "method".
+
+        And what the task brings, as the maze's "layout".
+        """
         method, world = METHODS[self.method], self.place.resolved(self.world)
         names = {"dynamics": world.dynamics} if method.needs_dynamics else {}
         if method.needs_generator:
@@ -131,7 +134,7 @@ class Evaluation:
             names["cost"] = world.cost
         if method.asks is not None:
             names["method"] = world.method_model or method.asks
-        return names
+        return {**names, **self.place.parts(self.task)}
 
     @property
     def slug(self) -> str:
@@ -141,7 +144,8 @@ class Evaluation:
         tell (a path, a tuple) is followed by a checksum.
         """
         method, place = METHODS[self.method], self.place
-        words = [self.domain, self.task, self.label, self.preset]
+        task = self.task if re.fullmatch(r"[a-z0-9_.-]+", self.task) else _word(self.task, ())
+        words = [self.domain, task, self.label, self.preset]
         preset = place.preset(self.preset)
         world = dict(_changes(self.world, preset.world))
         if not method.needs_generator:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from hvf.agents.frames import remembered
 from hvf.data.formats import EpisodeReader
 from hvf.models.image_quality import Measure, perceptual_distance, psnr, ssim
-from hvf.models.probe import PositionProbe
 from hvf.protocols import Images, Observer, Remembering
 from hvf.registry import DOMAINS
 
@@ -34,6 +33,10 @@ _AT_ONCE = 16
 # Pixels that an image has to have on each side for ST-LPIPS.
 _ROOM = 32
 _AXES = ("x", "y", "z")
+
+Reader = Callable[[torch.Tensor], torch.Tensor]
+"""Reads observables `[N, O]`, m, in uint8 frames `[N, S, S, 3]`, such as a
+:class:`~hvf.models.probe.PositionProbe`."""
 
 Things = Mapping[str, Sequence[int]]
 """What is reported: names of things, and which of the observables are their coordinates."""
@@ -196,7 +199,7 @@ def image_figures(
 def thing_figures(
     drawn: Images,
     windows: Windows,
-    probe: PositionProbe,
+    probe: Reader,
     things: Things,
     steps_ahead: Sequence[int],
 ) -> dict[str, dict[str, dict[str, float]]]:
@@ -239,7 +242,7 @@ def thing_figures(
     return found
 
 
-def read_positions(probe: PositionProbe, frames: Images) -> NDArray[np.float32]:
+def read_positions(probe: Reader, frames: Images) -> NDArray[np.float32]:
     """What the probe reads in uint8 `frames [N, S, S, 3]`, m: `[N, O]`."""
     with torch.inference_mode():
         parts = torch.split(torch.from_numpy(np.ascontiguousarray(frames)), 256)

@@ -45,8 +45,9 @@ class Task:
         self.loaded: Loaded | None = None
         self.weights: dict[str, Weights] = {}
         if method.needs_dynamics:
+            here = place.of_task(evaluation.task)
             self.loaded = load(
-                domain, evaluation.world, evaluation.planning, place, generator=searches
+                domain, evaluation.world, evaluation.planning, here, generator=searches
             )
             self.weights |= self.loaded.weights
         model: Any = None

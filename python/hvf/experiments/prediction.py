@@ -2,6 +2,9 @@
 
 Designs are chosen on the last twentieth of the data that models are trained on (validation). What
 is published is measured on a second collection, of another seed (test), that nothing was chosen on.
+
+In a layout of the maze (``--layout``) there need be no data: windows are of random interaction
+there, on episodes of the validation split, and positions are read by the simulator's own eyes.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from rich.table import Table
 from hvf.data.formats import open_episodes
 from hvf.data.splits import episodes_of
 from hvf.evaluation.prediction import (
+    Reader,
     Things,
     Windows,
     check_disjoint,
@@ -48,7 +52,8 @@ class Probe:
     """Measure what a learned model predicts.
 
     Attributes:
-        data: file of episodes; a probe of positions is trained on it where it has states.
+        data: file of episodes; a probe of positions is trained on it where it has states. None with
+            a layout.
         model: checkpoint of the model.
         test_data: file of other episodes of the same environment, collected with another seed, on
             which figures are measured; without one they are those of the data's last twentieth,
@@ -59,10 +64,12 @@ class Probe:
         horizon: steps that a window has.
         steps_ahead: steps ahead that tables and pictures show, up to the horizon.
         probe_episodes: training episodes that the probe learns from, at most.
+        layout: in place of data, for models of the maze: a layout (corridor-4, u-maze, spiral, a
+            TOML file) in which random interaction is simulated; positions are read exactly.
         loop: how to optimise the probe.
     """
 
-    data: Path
+    data: Path | None
     model: Path
     test_data: Path | None = None
     out: Path = Path("runs/probe")
@@ -71,6 +78,7 @@ class Probe:
     horizon: int = 15
     steps_ahead: tuple[int, ...] = (1, 5, 15)
     probe_episodes: int = 1000
+    layout: str | None = None
     loop: LoopConfig = LoopConfig(
         steps=5000,
         learning_rate=2e-3,
@@ -104,8 +112,14 @@ def probe(config: Probe, console: Console | None = None) -> dict[str, Any]:
     from hvf.models.checkpoint import load_any
     from hvf.settings import Planning
 
-    with open_episodes(config.data) as file:
-        environment = file.metadata.environment
+    if (config.data is None) == (config.layout is None):
+        raise ValueError("data: give either a file of episodes or a layout of the maze")
+    if config.layout is not None and config.test_data is not None:
+        raise ValueError("test_data: a layout is simulated, there is no other data")
+    environment = "maze"
+    if config.data is not None:
+        with open_episodes(config.data) as file:
+            environment = file.metadata.environment
     found = load_any(config.model, environment=environment)
     if found.entry.role != "dynamics":
         raise ValueError(
@@ -117,6 +131,10 @@ def probe(config: Probe, console: Console | None = None) -> dict[str, Any]:
     planning = Planning(horizon=hold, action_repeat=hold)
     world = found.entry.resolved("plannable")(found.module, planning)
     described = {"name": found.name, "kind": found.entry.kind}
+    if config.layout is not None:
+        from hvf.experiments.layouts import measure_layout
+
+        return measure_layout(world, config, console, described)
     return measure(world, config, console, described)
 
 
@@ -149,6 +167,8 @@ def measure(
             same environment.
         KeyboardInterrupt: stopped; the same call goes on from there.
     """
+    if config.data is None:
+        raise ValueError("data: is needed where no layout is simulated")
     console = console or Console()
     with open_episodes(config.data) as file, open_episodes(config.test_data or config.data) as test:
         if len(file) < 2:
@@ -179,6 +199,29 @@ def measure(
             "model": dict(described or {}),
             "data": {"trained": asdict(file.metadata), "measured": asdict(test.metadata)},
         }
+    return written(world, windows, reader, things, figures, config, console)
+
+
+def written(
+    world: Any,
+    windows: Windows,
+    reader: Reader | None,
+    things: Things,
+    figures: dict[str, Any],
+    config: Probe,
+    console: Console,
+) -> dict[str, Any]:
+    """Predict windows, and write and print what :func:`measure` promises.
+
+    Args:
+        world: the model.
+        windows: what happened.
+        reader: reads positions in frames; None where nobody knows them.
+        things: what to report of these.
+        figures: what is known of model and data.
+        config: what to measure.
+        console: where tables go.
+    """
     drawn = predict(world, windows.past, windows.actions, windows.past_actions)
     figures |= {
         "windows": len(windows),
@@ -237,6 +280,7 @@ def _misread(
 def _report(console: Console, figures: Mapping[str, Any], steps_ahead: Sequence[int]) -> None:
     split = figures["split"]
     of = "another collection" if split == "test" else "the data's last twentieth"
+    of = f"random interaction in {figures['layout']}" if "layout" in figures else of
     title = f"images, {split} ({of})"
     table = Table("steps ahead", *map(str, steps_ahead), title=title)
     for name, values in figures["images"].items():

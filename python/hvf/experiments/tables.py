@@ -7,7 +7,7 @@ the light :class:`~hvf.domains.domain.Domain`, so neither torch nor a simulator 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +87,8 @@ def markdown(reports: Mapping[Path, Report], domain: Domain, split: str | None =
             raise ValueError(f"{path}: is an evaluation in {report.domain}, not in {domain.name}")
         domain.check_task(report.task)
     _check_same_episodes(chosen)
+    others = {report.task for report in chosen.values()} - set(domain.tasks)
+    tasks = [*domain.tasks, *sorted(others)]
     rows: dict[Row, dict[str, Report]] = {}
     baselines: dict[Row, Row] = {}
     for path, report in chosen.items():
@@ -97,11 +99,11 @@ def markdown(reports: Mapping[Path, Report], domain: Domain, split: str | None =
             baselines[row] = _unkind(_row(report, domain, BASELINE))
     return "\n".join(
         [
-            *_rates(rows, domain),
+            *_rates(rows, domain, tasks),
             "",
             "In brackets 95% Wilson intervals.",
             *notes(chosen.values()),
-            *_differences(rows, baselines, domain),
+            *_differences(rows, baselines, tasks),
         ]
     )
 
@@ -127,23 +129,25 @@ def made_by(reports: Iterable[Report]) -> str:
     return f"Code: {', '.join(sorted(commits))}."
 
 
-def _rates(rows: Mapping[Row, Mapping[str, Report]], domain: Domain) -> list[str]:
+def _rates(
+    rows: Mapping[Row, Mapping[str, Report]], domain: Domain, tasks: Sequence[str]
+) -> list[str]:
     """The table of success rates, published ones last."""
-    header = ["settings", "world", "kind", "method", *domain.tasks, "s/search", "ms/step"]
-    lines = [line(header), f"|{'---|' * 4}{'---:|' * (len(domain.tasks) + 2)}"]
+    header = ["settings", "world", "kind", "method", *tasks, "s/search", "ms/step"]
+    lines = [line(header), f"|{'---|' * 4}{'---:|' * (len(tasks) + 2)}"]
     for row in sorted(rows, key=_order):
         cells = rows[row]
-        rates = [rate(cells[task]) if task in cells else "" for task in domain.tasks]
+        rates = [rate(cells[task]) if task in cells else "" for task in tasks]
         lines.append(line([*row.words, *rates, *_seconds(cells.values())]))
     for (method, subgoals), published in domain.published.items():
         row = Row("ICLR 2020, tables", "SV2P", domain.published_kind, method, subgoals)
-        rates = [f"{published[task]:.0%}" if task in published else "" for task in domain.tasks]
+        rates = [f"{published[task]:.0%}" if task in published else "" for task in tasks]
         lines.append(line([*row.words, *rates, "", ""]))
     return lines
 
 
 def _differences(
-    rows: Mapping[Row, Mapping[str, Report]], baselines: Mapping[Row, Row], domain: Domain
+    rows: Mapping[Row, Mapping[str, Report]], baselines: Mapping[Row, Row], tasks: Sequence[str]
 ) -> list[str]:
     """The table of paired differences; nothing where nothing can be paired."""
     by_baseline = {_unkind(row): cells for row, cells in rows.items()}
@@ -152,7 +156,7 @@ def _differences(
         other = by_baseline.get(baselines[row], {})
         cells = [
             _difference(rows[row][task], other[task]) if task in rows[row] and task in other else ""
-            for task in domain.tasks
+            for task in tasks
         ]
         if any(cells):
             lines.append(line([*row.words, *cells]))
@@ -164,8 +168,8 @@ def _differences(
         "world on the same episodes, with 95% intervals for paired data (Newcombe, 1998, method "
         "10) and McNemar's exact p, which is not corrected for the number of comparisons:",
         "",
-        line(["settings", "world", "kind", "method", *domain.tasks]),
-        f"|{'---|' * 4}{'---:|' * len(domain.tasks)}",
+        line(["settings", "world", "kind", "method", *tasks]),
+        f"|{'---|' * 4}{'---:|' * len(tasks)}",
         *lines,
     ]
 

@@ -7,8 +7,8 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-import hvf_core
 from hvf.envs.actions import checked_actions
+from hvf.envs.maze.layouts import LayoutLike
 from hvf.envs.maze.task import (
     RENDER_FPS,
     RENDER_MODES,
@@ -34,8 +34,13 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     * Reward: 1 on success, else 0 (``reward="sparse"``), or minus the distance to the target in
       metres (``"dense"``).
     * Termination: success, the agent's centre within 0.05 m of the target.
-    * ``info``: ``state`` float64 ``[4]`` (x, y and the ``y`` of both gaps, m), ``target``
+    * ``info``: ``state`` float64 ``[4]`` (x, y and the ``y`` of both gaps, m; in a layout ``x``,
+      ``y`` and where its gaps are), ``target``
       ``[2]``, ``goal`` (goal image), ``success``, ``distance`` (m).
+
+    With ``layout="corridor-4"``, ``"u-maze"``, ``"spiral"``, a TOML file or a
+    :class:`hvf_core.MazeLayout` walls, starts and targets are others
+    (:mod:`hvf.envs.maze.layouts`).
 
     After ``reset(seed=s)`` the first episode is ``hvf_core.maze_episodes(s, 0, 1, difficulty)``,
     the one after the next ``reset()`` has index 1, and so on.
@@ -52,8 +57,9 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         reward: Reward = "sparse",
         render_mode: str | None = None,
         goal_observation: bool = False,
+        layout: LayoutLike | None = None,
     ) -> None:
-        self.task = MazeTask(difficulty, image_size, reward, render_mode, goal_observation)
+        self.task = MazeTask(difficulty, image_size, reward, render_mode, goal_observation, layout)
         self.observation_space = self.task.observation_space
         if goal_observation:
             # Learners take an environment that has this method for one with goals.
@@ -98,7 +104,7 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         if self._state is None:
             raise ResetNeeded("call reset before step")
         actions = checked_actions(action, (2,))[None]
-        self._state = hvf_core.maze_step(self._state, actions)
+        self._state = self.task.step(self._state, actions)
         info = self._info()
         if self.render_mode == "human":
             self._show()
@@ -144,7 +150,7 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
             "state": self._state[0].copy(),
             "target": self._target[0].copy(),
             "goal": self._goal.copy(),
-            "success": bool(hvf_core.maze_success(self._state, self._target)[0]),
+            "success": bool(self.task.success(self._state, self._target)[0]),
             "distance": float(self.task.distances(self._state, self._target)[0]),
         }
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import hvf_core
 from hvf.envs.goals import checked_goals
+from hvf.envs.maze.layouts import LayoutLike, layout_of
 
 Image: TypeAlias = NDArray[np.uint8]
 Actions: TypeAlias = NDArray[np.float32]
@@ -35,10 +36,14 @@ class MazeTask:
             else 0. ``"dense"``: minus the distance to the target, m.
         render_mode: None, ``"rgb_array"`` or ``"human"``.
         goal_observation: Whether observations are dicts for goal-conditioned learners.
+        layout: Walls, start and goal: None for the paper's maze at this difficulty, or a layout, a
+            name (``"corridor-4"``, ``"u-maze"``, ``"spiral"``) or a TOML file; see
+            :func:`hvf.envs.maze.layouts.layout_of`.
 
     Raises:
-        ValueError: for a value that is none of these.
+        ValueError: for a value that is none of these, or a difficulty of another layout.
         TypeError: for an image size that is no integer.
+        FileNotFoundError: for a layout file that is not there.
     """
 
     difficulty: Difficulty = "hard"
@@ -46,15 +51,37 @@ class MazeTask:
     reward: Reward = "sparse"
     render_mode: str | None = None
     goal_observation: bool = False
+    layout: LayoutLike | None = None
 
     def __post_init__(self) -> None:
         _choice("difficulty", self.difficulty, Difficulty)
+        if self.layout is not None:
+            object.__setattr__(self, "layout", layout_of(self.layout))
+            if self.difficulty != "hard":
+                raise ValueError(
+                    f"difficulty: is of the paper's maze; layout {self.walls.name!r} says itself "
+                    "where episodes start and aim"
+                )
         _choice("reward", self.reward, Reward)
         if self.render_mode is not None and self.render_mode not in RENDER_MODES:
             raise ValueError(
                 f"render_mode: must be None or one of {RENDER_MODES}, got {self.render_mode!r}"
             )
-        self.observe(np.zeros((0, 4)))
+        self.observe(np.zeros((0, self.columns)))
+
+    @property
+    def walls(self) -> hvf_core.MazeLayout:
+        """The layout, that of the paper's maze included."""
+        return layout_of(self.difficulty if self.layout is None else self.layout)
+
+    @property
+    def _layout(self) -> hvf_core.MazeLayout | None:
+        return cast("hvf_core.MazeLayout | None", self.layout)
+
+    @property
+    def columns(self) -> int:
+        """Numbers of a state, ``S``: ``x``, ``y`` and one for each gap."""
+        return 4 if self._layout is None else self._layout.columns
 
     @property
     def observation_space(self) -> spaces.Space[Any]:
@@ -62,7 +89,8 @@ class MazeTask:
         image = spaces.Box(0, 255, (self.image_size, self.image_size, 3), np.uint8)
         if not self.goal_observation:
             return image
-        place = spaces.Box(-hvf_core.MAZE_ARENA, hvf_core.MAZE_ARENA, (2,), np.float64)
+        arena = np.array(self.walls.arena)
+        place = spaces.Box(-arena, arena, (2,), np.float64)
         return spaces.Dict({"observation": image, "achieved_goal": place, "desired_goal": place})
 
     @property
@@ -73,7 +101,15 @@ class MazeTask:
 
     def observe(self, states: States) -> Image:
         """Images of ``states[N, 4]``: uint8 ``[N, S, S, 3]``."""
-        return hvf_core.maze_render(states, self.image_size)
+        return hvf_core.maze_render(states, self.image_size, self._layout)
+
+    def step(self, states: States, actions: Actions) -> States:
+        """States after half a second of ``actions[N, 2]``."""
+        return hvf_core.maze_step(states, actions, self._layout)
+
+    def success(self, states: States, targets: States) -> NDArray[np.bool_]:
+        """Whether agents are within 0.05 m of ``targets[N, 2]``: bool ``[N]``."""
+        return hvf_core.maze_success(states, targets, self._layout)
 
     def observations(self, states: States, targets: States) -> Any:
         """What is observed of ``states[N, 4]`` with ``targets[N, 2]``, a batch of the space's."""
@@ -103,21 +139,26 @@ class MazeTask:
         Args:
             seed: Seed of the environment.
             index: Number of the episode since that seed was set.
-            options: May hold ``"state"`` ``(x, y, w1, w2)``, ``"target"`` ``(x, y)`` and
-                ``"episode"`` (another index), in metres. The agent is put where it can stand.
+            options: May hold ``"state"`` ``(x, y, w1, w2)`` (or a layout's), ``"target"``
+                ``(x, y)`` and ``"episode"`` (another index), in metres. The agent is put where it
+                can stand.
 
         Raises:
             ValueError: for other options, or values out of range.
         """
         options = dict(options or {})
         index = options.pop("episode", index)
-        starts, targets = hvf_core.maze_episodes(seed, index, 1, self.difficulty)
+        starts, targets = (
+            hvf_core.maze_episodes(seed, index, 1, self.difficulty)
+            if self._layout is None
+            else hvf_core.maze_episodes(seed, index, 1, layout=self._layout)
+        )
         start, target = starts[0], targets[0]
         if "state" in options:
-            start = _legal("options['state']", options.pop("state"), 4)
+            start = self._legal("options['state']", options.pop("state"))
         if "target" in options:
             position = _vector("options['target']", options.pop("target"), 2)
-            target = _legal("options['target']", [*position, *start[2:]], 4)[:2]
+            target = self._legal("options['target']", [*position, *start[2:]])[:2]
         if options:
             raise ValueError(
                 "options: may hold 'state', 'target' and 'episode', got also "
@@ -148,10 +189,19 @@ class MazeTask:
 
     def pictures(self, states: States, targets: States) -> Image:
         """Pictures for people: scene and goal side by side, uint8 ``[N, S, 2 S + gap, 3]``."""
-        now = hvf_core.maze_render(states, RENDER_SIZE)
-        goal = hvf_core.maze_render(np.concatenate([targets, states[:, 2:]], axis=1), RENDER_SIZE)
+        goals = np.concatenate([targets, states[:, 2:]], axis=1)
+        now = hvf_core.maze_render(states, RENDER_SIZE, self._layout)
+        goal = hvf_core.maze_render(goals, RENDER_SIZE, self._layout)
         gap = np.full((len(now), RENDER_SIZE, 8, 3), 255, np.uint8)
         return np.concatenate([now, gap, goal], axis=2)
+
+    def _legal(self, argument: str, value: ArrayLike) -> States:
+        """A state, with the agent moved to where it can stand."""
+        state = _vector(argument, value, self.columns)
+        try:
+            return np.ravel(self.step(state[None], np.zeros((1, 2), np.float32)))
+        except ValueError as error:
+            raise ValueError(f"{argument}: {error}") from error
 
 
 def _choice(argument: str, value: str, choices: object) -> None:
@@ -167,12 +217,3 @@ def _vector(argument: str, value: ArrayLike, length: int) -> States:
     if vector.shape != (length,):
         raise ValueError(f"{argument}: expected shape [{length}], got {list(vector.shape)}")
     return vector
-
-
-def _legal(argument: str, value: ArrayLike, length: int) -> States:
-    """A state, with the agent moved to where it can stand."""
-    state = _vector(argument, value, length)
-    try:
-        return np.ravel(hvf_core.maze_step(state[None], np.zeros((1, 2))))
-    except ValueError as error:
-        raise ValueError(f"{argument}: {error}") from error

@@ -9,8 +9,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-import hvf_core
 from hvf.envs.actions import checked_actions
+from hvf.envs.maze.layouts import LayoutLike
 from hvf.envs.maze.task import (
     RENDER_FPS,
     Difficulty,
@@ -43,6 +43,7 @@ class MazeVectorEnv(VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
             with ``options={"reset_mask": ...}``).
         goal_observation: As in :class:`~hvf.envs.maze.env.MazeEnv`: dicts of arrays ``[N, ...]``,
             and a ``compute_reward``.
+        layout: As in :class:`~hvf.envs.maze.task.MazeTask`.
 
     Raises:
         ValueError: for a setting out of range.
@@ -58,6 +59,7 @@ class MazeVectorEnv(VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         goal_observation: bool = False,
+        layout: LayoutLike | None = None,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs: must be at least 1, got {num_envs}")
@@ -65,7 +67,7 @@ class MazeVectorEnv(VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
             raise ValueError(f"max_episode_steps: must be at least 1, got {max_episode_steps}")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode: must be None or 'rgb_array', got {render_mode!r}")
-        self.task = MazeTask(difficulty, image_size, reward, render_mode, goal_observation)
+        self.task = MazeTask(difficulty, image_size, reward, render_mode, goal_observation, layout)
         if goal_observation:
             self.compute_reward = self.task.rewards_of_goals
         self.num_envs = num_envs
@@ -83,7 +85,7 @@ class MazeVectorEnv(VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._seeds: list[int | None] = [None] * num_envs
         self._episodes = [0] * num_envs
-        self._states = np.zeros((num_envs, 4))
+        self._states = np.zeros((num_envs, self.task.columns))
         self._targets = np.zeros((num_envs, 2))
         self._goals = np.zeros((num_envs, image_size, image_size, 3), np.uint8)
         self._steps = np.zeros(num_envs, np.int64)
@@ -138,7 +140,7 @@ class MazeVectorEnv(VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
                 "autoreset is disabled: reset them with options={'reset_mask': ...}"
             )
         restarted = self._ended
-        moved = hvf_core.maze_step(self._states, actions)
+        moved = self.task.step(self._states, actions)
         self._states = np.where(restarted[:, None], self._states, moved)
         self._steps = self._steps + ~restarted
         if restarted.any():
@@ -212,7 +214,7 @@ class MazeVectorEnv(VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
             "state": self._states.copy(),
             "target": self._targets,
             "goal": self._goals,
-            "success": hvf_core.maze_success(self._states, self._targets),
+            "success": self.task.success(self._states, self._targets),
             "distance": self.task.distances(self._states, self._targets),
         }
         return _masked(infos, mask)
