@@ -103,7 +103,7 @@ proptest! {
 #[test]
 fn crossing_walls_count_once() {
     // A cross of two walls in one pixel of 8: area 2 * 0.06 * 0.01 - 0.01^2.
-    let walls = vec![
+    let walls = [
         Wall::new([0.04, 0.04], [0.03, 0.005]),
         Wall { angle: 90.0, ..Wall::new([0.04, 0.04], [0.03, 0.005]) },
     ];

@@ -133,12 +133,29 @@ fn episodes_start_and_aim_in_their_regions_and_subgoals_are_on_the_way() {
             }
             assert_eq!(episode, layout.episode(1, index));
             assert!(success(&episode.goal(), episode.target));
-            let subgoals = episode.subgoals(3);
             let way = Way::shortest(&episode.start.scene, episode.start.position, episode.target);
-            for (i, subgoal) in subgoals.iter().enumerate() {
-                assert!(space.contains(subgoal.position));
-                let [x, y] = way.as_ref().unwrap().at((i + 1) as f64 / 4.0);
-                assert!((subgoal.position[0] - x).hypot(subgoal.position[1] - y) <= 0.0201);
+            let way = way.unwrap();
+            for count in [0, 1, 2, 3, 5, 20] {
+                let places = way.places(count);
+                assert_eq!(places.len(), count);
+                // On the way, in order; as many as the turns or more are in sight of each other.
+                let mut ends = vec![episode.start.position];
+                ends.extend(&places);
+                ends.push(episode.target);
+                let along: f64 =
+                    ends.windows(2).map(|p| (p[0][0] - p[1][0]).hypot(p[0][1] - p[1][1])).sum();
+                let turns = way.turns.len() - 2;
+                if count >= turns {
+                    assert!((along - way.length()).abs() < 1e-9, "{along}, not {}", way.length());
+                    assert!(ends.windows(2).all(|pair| space.sees(pair[0], pair[1])));
+                } else {
+                    let mut left = way.turns.iter();
+                    assert!(places.iter().all(|place| left.any(|turn| turn == place)));
+                }
+                for (subgoal, [x, y]) in episode.subgoals(count).iter().zip(places) {
+                    assert!(space.contains(subgoal.position));
+                    assert!((subgoal.position[0] - x).hypot(subgoal.position[1] - y) <= 0.0201);
+                }
             }
         }
     }

@@ -59,7 +59,8 @@ fn blurred_costs_are_those_of_blurred_frames() {
     let world = MazeWorld::new(config).unwrap();
     let layout = preset("corridor-4").unwrap();
     let episode = layout.episode(2, 5);
-    let (from, to) = (frames_of(&[episode.start.clone()]), frames_of(&[episode.goal()]));
+    let (from, to) =
+        (frames_of(std::slice::from_ref(&episode.start)), frames_of(&[episode.goal()]));
     let stay = Array4::zeros((1, 1, 1, 2));
     let cost = world.rollout_costs(&from, &to, stay.into()).unwrap()[[0, 0]];
     let draw = |frames: &MazeFrames| frames.image(world.renderer(), 0).unwrap().into_owned();
@@ -75,7 +76,8 @@ fn images_are_read_as_showing_the_worlds_layout() {
     let layout = preset("corridor-4").unwrap();
     let world = MazeWorld::new(MazeWorldConfig::default()).unwrap().with_layout(layout.clone());
     let state = layout.episode(4, 4).start;
-    let image = frames_of(&[state.clone()]).image(world.renderer(), 0).unwrap().into_owned();
+    let image =
+        frames_of(std::slice::from_ref(&state)).image(world.renderer(), 0).unwrap().into_owned();
     let States::Laid(seen) = world.observe(&image).unwrap().states() else { panic!("the paper's") };
     assert!((seen[0].position[0] - state.position[0]).abs() < 1e-3);
     assert_eq!(seen[0].scene.gaps().len(), 4);
@@ -91,7 +93,8 @@ fn the_oracle_draws_from_all_of_free_space() {
         1 => grid(k),
         _ => 9.0,
     });
-    let drawn = MazeSubgoals::default().decode(&frames_of(&[state.clone()]), latents).unwrap();
+    let drawn =
+        MazeSubgoals::default().decode(&frames_of(std::slice::from_ref(&state)), latents).unwrap();
     assert_eq!(drawn.len(), 1600);
     let States::Laid(states) = drawn.states() else { panic!("the paper's") };
     assert!(states.iter().all(|s| s.scene.obstacles().contains(s.position)));

@@ -275,8 +275,8 @@ fn maze_episodes<'py>(
 /// `[N, subgoals, 4]`.
 ///
 /// The agent centred in the gaps that it has to pass, in order; on the straight line to the
-/// target if there are none. In a `layout` at equal parts of the shortest way to the target, moved
-/// a little towards the middle of free space.
+/// target if there are none. In a `layout` at turns of the shortest way to the target, or between
+/// them if there are fewer, moved a little towards the middle of free space.
 ///
 /// Raises ValueError for shapes that do not match.
 #[pyfunction]

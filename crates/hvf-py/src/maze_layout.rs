@@ -12,7 +12,7 @@ use numpy::{IntoPyArray, PyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
+use pyo3::types::{PyList, PyTuple};
 
 use crate::arguments::{instance, numbers, Text};
 use crate::error::to_py;
@@ -220,7 +220,9 @@ pub fn other_than_paper(layout: Option<Arc<Kept>>) -> Option<Arc<Kept>> {
 
 /// Rows of `C` numbers; none of an empty sequence.
 fn table<const C: usize>(argument: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; C]>> {
-    if object.len().is_ok_and(|count| count == 0) {
+    // NumPy makes one axis of these.
+    let no_list = object.cast::<PyList>().is_ok_and(|list| list.is_empty());
+    if no_list || object.cast::<PyTuple>().is_ok_and(|tuple| tuple.is_empty()) {
         return Ok(Vec::new());
     }
     crate::maze::rows::<C>(argument, object)

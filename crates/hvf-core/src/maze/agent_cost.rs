@@ -21,7 +21,8 @@ use super::agent_kernels::{
 };
 use super::geometry::{State, AGENT_HALF};
 use super::ground::{Ground, Walls};
-use super::render::{blend, Covered, Renderer, AGENT, FLOOR, VIEW};
+use super::pixels::Covered;
+use super::render::{blend, Renderer, AGENT, FLOOR, VIEW};
 use crate::image::{squared_distance_u8, squared_norm_f32, GaussianBlur};
 
 /// Scores agents against goals, for one size of image and blur.

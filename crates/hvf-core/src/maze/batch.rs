@@ -145,17 +145,20 @@ pub fn collect_in(
     })
 }
 
+/// Actions of an episode.
+type Actions = Vec<[f32; 2]>;
+
 fn interact<S: Ground>(
     renderer: &Renderer,
     (first, count, steps): (u64, usize, usize),
     frames: &mut [u8],
-    draw: impl Fn(u64) -> (State<S>, Vec<[f32; 2]>) + Sync,
+    draw: impl Fn(u64) -> (State<S>, Actions) + Sync,
 ) -> Result<Interaction<S>> {
     if steps == 0 {
         return Err(Error::invalid("steps", "must be at least 1"));
     }
     check_frames(renderer, count * (steps + 1), frames.len())?;
-    let episodes: Vec<(Vec<State<S>>, Vec<[f32; 2]>)> = frames
+    let episodes: Vec<(Vec<State<S>>, Actions)> = frames
         .par_chunks_exact_mut(renderer.frame_len() * (steps + 1))
         .enumerate()
         .map(|(index, frames)| {

@@ -10,6 +10,7 @@ pub mod ground;
 pub mod layout;
 pub mod motion;
 pub mod physics;
+mod pixels;
 pub mod render;
 pub mod subgoals;
 pub mod world;

@@ -222,6 +222,26 @@ mod tests {
         }
 
         #[test]
+        fn a_motion_falls_below_a_height_where_a_fine_scan_first_sees_it(
+            speed in -0.6..0.6f64, force in -0.15..0.15f64, height in 0.0..0.05f64,
+            from in 0.0..0.2f64
+        ) {
+            let motion = Motion { speed, force };
+            let above = |time: f64| height + motion.distance(time);
+            let times = (0..=5000).map(|i| from + (0.5 - from) * f64::from(i) / 5000.0);
+            let scanned = times.clone().find(|&time| above(time) < 0.0);
+            match (motion.falls_below(height, from, 0.5), scanned) {
+                (Some(time), Some(scanned)) => {
+                    prop_assert!(time <= scanned + 1e-12 && time > scanned - 1.01e-4);
+                    prop_assert!(time == from || above(time).abs() < 1e-12);
+                }
+                // A dip between two looks.
+                (Some(time), None) => prop_assert!(above(time).abs() < 1e-9),
+                (None, scanned) => prop_assert!(scanned.is_none(), "{scanned:?}"),
+            }
+        }
+
+        #[test]
         fn nothing_moves_on_before_it_stops_or_back_until_then(
             speed in 0.0..1.0f64, force in -0.15..-1e-3f64
         ) {

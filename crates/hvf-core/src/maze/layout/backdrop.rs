@@ -4,7 +4,8 @@ use super::coverage::add_coverage;
 use super::polygon::clipped_to_rectangle;
 use super::scene::LayoutScene;
 use crate::maze::geometry::BORDER;
-use crate::maze::render::{blend, Axis};
+use crate::maze::pixels::Axis;
+use crate::maze::render::blend;
 
 /// What walls cover of each pixel of a frame, and the frame. A pixel's colour is the mean over its
 /// area, by the same rule as in the paper's scenes: exact areas, also of turned walls.

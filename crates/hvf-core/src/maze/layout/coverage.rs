@@ -1,7 +1,7 @@
 //! How much of each pixel walls cover: exact areas of turned boxes, counted once where they meet.
 
 use super::polygon::{area, clipped, clipped_to_rectangle, dot};
-use crate::maze::render::Axis;
+use crate::maze::pixels::Axis;
 
 /// A convex polygon without the inside of another one, as convex parts.
 fn without(polygon: &[[f64; 2]], other: &[[f64; 2]]) -> Vec<Vec<[f64; 2]>> {

@@ -154,7 +154,7 @@ impl Layout {
         let walls = self.walls.iter().filter(|wall| wall.gap.is_some());
         for (index, (wall, at)) in walls.zip(gaps).enumerate() {
             // The paper's maze may have gaps beyond those that are drawn.
-            if !(at.abs() <= wall.half[1]) {
+            if at.is_nan() || at.abs() > wall.half[1] {
                 return Err(Error::invalid(
                     "gaps",
                     format!(

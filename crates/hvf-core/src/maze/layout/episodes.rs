@@ -51,19 +51,20 @@ impl Layout {
 }
 
 impl Episode<Arc<LayoutScene>> {
-    /// `count` ground-truth subgoals: places at equal parts of the shortest way to the target,
-    /// moved a little towards the middle of free space; on the straight line if there is no way.
+    /// `count` ground-truth subgoals: places on the shortest way to the target, at its turns or
+    /// between them ([`Way::places`]), moved a little towards the middle of free space; on the
+    /// straight line if there is no way.
     pub fn subgoals(&self, count: usize) -> Vec<LayoutState> {
         let scene = &self.start.scene;
         let space = scene.obstacles();
         let way = Way::shortest(scene, self.start.position, self.target)
             .unwrap_or_else(|| Way::straight(self.start.position, self.target));
-        (0..count)
-            .map(|index| {
-                let at = way.at((index + 1) as f64 / (count + 1) as f64);
-                State { scene: Arc::clone(scene), position: space.roomiest(space.push_out(at)) }
-            })
-            .collect()
+        let places = way.places(count).into_iter();
+        let state = |place| {
+            let position = space.roomiest(space.push_out(place));
+            State { scene: Arc::clone(scene), position }
+        };
+        places.map(state).collect()
     }
 }
 

@@ -6,6 +6,7 @@
 //! of these layouts; its own two walls have a faster path of their own in the parent module.
 
 mod backdrop;
+mod contacts;
 mod coverage;
 mod description;
 mod episodes;

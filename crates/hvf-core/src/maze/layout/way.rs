@@ -93,6 +93,64 @@ impl Way {
     }
 }
 
+impl Way {
+    /// `count` places on the way between its ends, in order: its turns, as far as there are so
+    /// many, so that straight lines lead from one to the next.
+    ///
+    /// With more places than turns, straight lines are divided, the longest parts first. With
+    /// fewer, each is the turn nearest to where equal parts of the length would end.
+    pub fn places(&self, count: usize) -> Vec<[f64; 2]> {
+        let turns = self.turns.len().saturating_sub(2);
+        if count >= turns {
+            return self.divided(count - turns);
+        }
+        let mut upto = 0.0;
+        let lengths: Vec<f64> = self
+            .turns
+            .windows(2)
+            .map(|pair| {
+                upto += apart(pair[0], pair[1]);
+                upto
+            })
+            .collect();
+        let mut next = 0;
+        (1..=count)
+            .map(|place| {
+                let wanted = upto * place as f64 / (count + 1) as f64;
+                // Turns enough must be left for the other places.
+                let last = turns - 1 - (count - place);
+                let off = |turn: &usize| (lengths[*turn] - wanted).abs();
+                let turn = (next..=last).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(last);
+                next = turn + 1;
+                self.turns[turn + 1]
+            })
+            .collect()
+    }
+
+    /// All turns and `more` places on the lines between them.
+    fn divided(&self, more: usize) -> Vec<[f64; 2]> {
+        let legs: Vec<_> = self.turns.windows(2).map(|pair| (pair[0], pair[1])).collect();
+        let mut parts = vec![1_usize; legs.len()];
+        for _ in 0..more {
+            let part = |leg: usize| apart(legs[leg].0, legs[leg].1) / parts[leg] as f64;
+            let longest = (0..legs.len()).max_by(|&a, &b| part(a).total_cmp(&part(b)));
+            if let Some(leg) = longest {
+                parts[leg] += 1;
+            }
+        }
+        let mut places = Vec::new();
+        for (&(a, b), &parts) in legs.iter().zip(&parts) {
+            places.extend((1..=parts).map(|part| {
+                let part = part as f64 / parts as f64;
+                [0, 1].map(|i| a[i] + part * (b[i] - a[i]))
+            }));
+        }
+        // The last one is the goal.
+        places.pop();
+        places
+    }
+}
+
 impl Obstacles {
     /// Corners of grown walls where the agent can stand.
     fn corners(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
