@@ -248,6 +248,9 @@ def either(draw: Draw, sensible: Any, nonsense: st.SearchStrategy[Any] = ANYTHIN
 # --- worlds and models ------------------------------------------------------------------------
 
 STATES = np.array([[0.0, 0.0, 0.1, -0.1], [0.1, 0.2, 0.0, 0.0], [-0.2, 0.0, 0.1, 0.1]])
+LAYOUT = hvf_core.MazeLayout.preset("corridor-1")
+LAID = STATES[:, :3] - [0.1, 0.0, 0.0]
+"""States of it."""
 RNG = np.random.default_rng(0)
 
 
@@ -424,14 +427,24 @@ def constructor(draw: Draw) -> Call:
 
 def native(draw: Draw) -> Call:
     kind = draw(
-        st.sampled_from(["KeypointWorld", "LayerWorld", "MazeWorld", "MazeFrames", "MazeSubgoals"])
+        st.sampled_from(
+            ["KeypointWorld", "LayerWorld", "MazeWorld", "MazeFrames", "MazeSubgoals", "MazeLayout"]
+        )
     )
     of: dict[str, Any] = {
         "KeypointWorld": KEYPOINT,
         "LayerWorld": LAYERS,
         "MazeWorld": {"image_size": 8, "blur": 1.0, "over_horizon": "sum"},
-        "MazeFrames": {"states": STATES, "image_size": 8},
-        "MazeSubgoals": {"latent_dim": 3},
+        "MazeFrames": {"states": STATES, "image_size": 8, "layout": None},
+        "MazeSubgoals": {"latent_dim": 3, "layout": LAYOUT},
+        "MazeLayout": {
+            "name": "any",
+            "walls": LAYOUT.walls,
+            "start": LAYOUT.start,
+            "goal": LAYOUT.goal,
+            "arena": LAYOUT.arena,
+            "gaps": LAYOUT.gaps,
+        },
     }
     names = draw(st.lists(st.sampled_from(list(of[kind])), min_size=1, max_size=2, unique=True))
     changed = {name: either(draw, of[kind][name]) for name in names}
@@ -451,8 +464,17 @@ def function(draw: Draw) -> Call:
         "maze_success": (STATES, STATES[:, :2]),
         "image_cost": (images, images, "pairs", 0.5),
     }
-    name = draw(st.sampled_from(list(of)))
-    arguments = [either(draw, argument) for argument in of[name]]
+    in_layout: dict[str, tuple[Any, ...]] = {
+        "maze_step": (LAID, numbers(3, 2), LAYOUT),
+        "maze_render": (LAID, 8, LAYOUT),
+        "maze_locate": (images, LAYOUT),
+        "maze_episodes": (0, 0, 3, None, LAYOUT),
+        "maze_subgoals": (LAID, LAID[:, :2], 2, LAYOUT),
+        "maze_collect": (0, 0, 2, 3, 8, LAYOUT),
+        "maze_success": (LAID, LAID[:, :2], LAYOUT),
+    }
+    name, sensible = draw(st.sampled_from([*of.items(), *in_layout.items()]))
+    arguments = [either(draw, argument) for argument in sensible]
     return name, lambda: getattr(hvf_core, name)(*arguments)
 
 

@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 
 def load(
-    domain: str, preset: str = "default", **settings: Any
+    domain: str, preset: str = "default", *, task: str | None = None, **settings: Any
 ) -> tuple[WorldModel[Any], SubgoalModel[Any] | None]:
     """The world model and the subgoal generator of a domain, ready to plan with.
 
     Args:
         domain: name of the domain.
         preset: settings to begin with.
+        task: of which the true dynamics are, where these depend on it: in the maze a layout.
         settings: of the world and its cost: ``dynamics``, ``generator``, ``cost``, ``blur``,
             ``over_horizon``, ... (see :class:`hvf.settings.World`, :class:`hvf.settings.Planning`).
 
@@ -42,7 +43,11 @@ def load(
     draws = place.resolved(chosen.world).dynamics not in place.privileged
     opened = place.open()
     try:
-        loaded = load_world(place, chosen.world, chosen.planning, opened, generator=draws)
+        here = opened
+        if task is not None:
+            place.check_task(task)
+            here = opened.of_task(task)
+        loaded = load_world(place, chosen.world, chosen.planning, here, generator=draws)
     finally:
         if draws:
             # A simulator goes on running behind its world, until the program ends.

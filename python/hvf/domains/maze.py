@@ -71,7 +71,7 @@ class MazeTrials:
     def true_subgoals(self, count: int) -> Images:
         """Return images of the agent on its way, ``[B, count, S, S, 3]``.
 
-        In the gaps that it has to pass; in a layout at equal parts of the shortest way.
+        In the gaps that it has to pass; in a layout at turns of the shortest way.
         """
         states = hvf_core.maze_subgoals(self.states, self.targets, count, self.layout)
         images = self._render(states.reshape(-1, states.shape[-1]))
@@ -133,7 +133,15 @@ class Layouts:
 
     def steps(self, task: str) -> int:
         """As many as in the paper's maze, of any layout that there is."""
-        layout_of(task)
+        try:
+            layout_of(task)
+        except ValueError as error:
+            # A file says itself what is wrong with it.
+            if task.endswith(".toml"):
+                raise
+            raise ValueError(
+                f"task: must be one of {NAMES} (N from 1 to 7), or a TOML file; got {task!r}"
+            ) from error
         return STEPS
 
     def parts(self, task: str) -> Mapping[str, str]:
