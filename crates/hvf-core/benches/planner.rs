@@ -5,8 +5,8 @@
 
 use criterion::{criterion_group, criterion_main, Criterion, Throughput};
 use hvf_core::maze::{Difficulty, Episode, MazeFrames, MazeSubgoals, MazeWorld, MazeWorldConfig};
+use hvf_core::planner::cem::distribution::{Bounds, Initial};
 use hvf_core::planner::cem::{minimise, Call, CemConfig, Objective};
-use hvf_core::planner::distribution::{Bounds, Initial};
 use hvf_core::planner::mpc::plan;
 use hvf_core::planner::sampler::{Purpose, Stream};
 use hvf_core::planner::{search, HvfConfig, MpcConfig, Problems};

@@ -5,9 +5,6 @@
 //! it choose the latents of a [`SubgoalModel`]'s images by what it costs to plan between them.
 
 pub mod cem;
-pub mod distribution;
-mod elites;
-mod likelihood;
 pub mod model;
 pub mod mpc;
 pub mod philox;
@@ -15,7 +12,6 @@ pub mod philox;
 mod point_mass;
 #[cfg(test)]
 mod protocol_tests;
-mod rollouts;
 pub mod sampler;
 pub mod search;
 

@@ -1,8 +1,10 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use crate::planner::cem::CemConfig;
+use crate::planner::model::ActionSpace;
 use crate::planner::point_mass::{PointMass, Points};
-use crate::planner::sampler::Purpose;
+use crate::planner::sampler::{Purpose, Stream};
 use ndarray::Array3;
 use proptest::prelude::*;
 

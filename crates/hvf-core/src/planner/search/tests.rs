@@ -1,6 +1,8 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use crate::planner::cem::{BestOf, CemConfig};
+use crate::planner::mpc::MpcConfig;
 use crate::planner::point_mass::{PointMass, Points, Positions};
 use ndarray::{ArrayView2, Axis};
 use proptest::prelude::*;

@@ -1,7 +1,7 @@
 //! What candidates are drawn from: the first iteration's distribution and the Gaussian that the
 //! elites are refitted to.
 
-use super::sampler::Draw;
+use crate::planner::sampler::Draw;
 
 /// Distribution of the first iteration's candidates, over all `N` dimensions of one.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,10 +4,10 @@ use std::borrow::Cow;
 
 use ndarray::{Array, Array2, Array3, Axis, Dimension, Ix3, Ix4};
 
-use super::cem::{Call, Objective};
-use super::model::{Candidates, Frames, SharedCandidates, WorldModel};
-use super::mpc::{Interrupt, MpcConfig, Problems};
-use super::sampler::draw_seeds;
+use super::{Interrupt, MpcConfig, Problems};
+use crate::planner::cem::{Call, Objective};
+use crate::planner::model::{Candidates, Frames, SharedCandidates, WorldModel};
+use crate::planner::sampler::draw_seeds;
 use crate::Result;
 
 /// Most values of actions in one call, whatever a model wants, where more than one problem is in

@@ -1,5 +1,6 @@
 #![allow(clippy::unwrap_used)]
 
+use super::distribution::DiagonalGaussian;
 use super::*;
 use crate::planner::sampler::Purpose;
 use proptest::prelude::*;

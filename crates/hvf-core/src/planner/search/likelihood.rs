@@ -7,10 +7,10 @@
 
 use ndarray::{Array2, Array3};
 
-use super::cem::{Call, Objective};
-use super::model::{Frames, SubgoalModel};
-use super::mpc::Interrupt;
-use super::search::Reduction;
+use super::Reduction;
+use crate::planner::cem::{Call, Objective};
+use crate::planner::model::{Frames, SubgoalModel};
+use crate::planner::mpc::Interrupt;
 use crate::{Error, Result};
 
 /// Samples of subgoals as an objective: latents to what the generator says of their segments.
