@@ -6,12 +6,17 @@
 //! variance falls below a threshold or the iterations are used up (paper, section 4.1 and
 //! appendix).
 //!
+//! Options of [`CemConfig`] and [`Space`], all off unless asked for, make of it what else the field
+//! uses: iCEM (kept elites, momentum, a decaying number of samples, [coloured noise](noise)), MPPI
+//! (elites weighted by a temperature), a full covariance, a least deviation.
+//!
 //! A problem's result depends on its own stream, distribution and costs only: not on the other
 //! problems of the batch, their order, the number of threads, or how the batch is cut into calls.
 
 mod config;
 pub mod distribution;
 mod elites;
+pub mod noise;
 mod problem;
 
 use ndarray::{Array2, Array3, Axis};
@@ -19,11 +24,11 @@ use rayon::prelude::*;
 
 use crate::planner::sampler::Stream;
 use crate::{Error, Result};
-use distribution::{Bounds, Initial};
+use distribution::{Space, Start};
 use problem::{Problem, Sampling};
 
 pub(super) use config::MAX_VALUES;
-pub use config::{BestOf, CemConfig};
+pub use config::{BestOf, CemConfig, Covariance, MAX_CORRELATED};
 pub(super) use elites::elites;
 pub use problem::{IterationStats, Solution};
 
@@ -61,6 +66,15 @@ pub trait Objective {
         None
     }
 
+    /// Told after every iteration how the problems stand that took part in it, in order of their
+    /// numbers.
+    ///
+    /// # Errors
+    /// Any ends the optimisation.
+    fn iterated(&mut self, _solutions: &[&Solution]) -> Result<()> {
+        Ok(())
+    }
+
     /// What to call a problem in an error.
     fn describe(&self, problem: usize) -> String {
         format!("problem {problem}")
@@ -68,45 +82,55 @@ pub trait Objective {
 }
 /// Minimises `objective` for one problem per stream.
 ///
-/// `initial` holds one distribution for all problems or one for each. All problems of iteration
+/// `starts` holds one for all problems or one for each. All problems of iteration
 /// 0 under one seed draw the same random numbers (their stream's `problem` counts from iteration
 /// 1 on), so that problems can share their first candidates.
 ///
 /// # Errors
 /// An error of the objective; costs of the wrong shape; a problem whose costs are all NaN; more
-/// samples than memory could hold.
+/// samples than memory could hold, or more dimensions than correlations are kept of.
 ///
 /// # Panics
-/// If lengths in `initial`, `bounds` and `streams` disagree, which callers check.
+/// If lengths in `starts`, `space` and `streams` disagree, which callers check.
 pub fn minimise<O: Objective>(
     config: &CemConfig,
-    bounds: &Bounds,
-    initial: &[Initial],
+    space: &Space,
+    starts: &[Start],
     streams: &[Stream],
     objective: &mut O,
 ) -> Result<Vec<Solution>> {
     assert!(
-        initial.len() == 1 || initial.len() == streams.len(),
-        "one initial distribution or one each"
+        starts.len() == 1 || starts.len() == streams.len(),
+        "one start for all problems or one each"
     );
-    if bounds.low.is_empty() {
+    let dimensions = space.bounds.low.len();
+    if dimensions == 0 {
         return Err(Error::invalid("bounds", "must have at least one dimension"));
     }
-    let most = MAX_VALUES / bounds.low.len();
+    let full = config.covariance != Covariance::Diagonal;
+    if full && (dimensions > MAX_CORRELATED || space.noise.is_some()) {
+        return Err(Error::invalid(
+            "covariance",
+            match space.noise {
+                Some(_) => "'full' learns what depends on what, so noise_beta must be 0".into(),
+                None => format!(
+                    "'full' is for at most {MAX_CORRELATED} dimensions, and a candidate has \
+                     {dimensions}"
+                ),
+            },
+        ));
+    }
+    let most = MAX_VALUES / dimensions;
     if config.samples > most {
         return Err(Error::invalid(
             "samples",
-            format!(
-                "must be at most {most} of {} dimensions, got {}",
-                bounds.low.len(),
-                config.samples
-            ),
+            format!("must be at most {most} of {dimensions} dimensions, got {}", config.samples),
         ));
     }
-    let sampling = Sampling { config, bounds, dimensions: bounds.low.len() };
+    let sampling = Sampling { config, space, dimensions };
     let mut states: Vec<Problem<'_>> = (0..streams.len())
         .map(|problem| {
-            Problem::new(problem, streams[problem], &initial[problem.min(initial.len() - 1)])
+            Problem::new(problem, streams[problem], &starts[problem.min(starts.len() - 1)])
         })
         .collect();
     let mut active: Vec<&mut Problem<'_>> = states.iter_mut().collect();
@@ -114,7 +138,7 @@ pub fn minimise<O: Objective>(
 
     for iteration in 0..config.iterations {
         let one_seed = streams.windows(2).all(|pair| pair[0].seed == pair[1].seed);
-        let mut share = iteration == 0 && initial.len() == 1 && streams.len() > 1 && one_seed;
+        let mut share = iteration == 0 && starts.len() == 1 && streams.len() > 1 && one_seed;
         for states in active.chunks_mut(per_call) {
             let problems: Vec<usize> = states.iter().map(|state| state.number).collect();
             let kept: Vec<Vec<f32>> = states.iter().map(|state| state.kept_costs.clone()).collect();
@@ -130,13 +154,15 @@ pub fn minimise<O: Objective>(
                 Some(costs) => costs?,
                 None => objective.costs(call, sampling.candidates(iteration, states))?,
             };
-            check_costs(&costs, states, config, objective)?;
+            check_costs(&costs, states, config.samples_in(iteration), objective)?;
             states
                 .par_iter_mut()
                 .zip(costs.axis_iter(Axis(0)).into_par_iter())
                 .with_min_len(sampling.problems_per_task())
                 .for_each(|(state, costs)| state.update(&sampling, iteration, costs));
         }
+        let solutions: Vec<&Solution> = active.iter().map(|state| &state.solution).collect();
+        objective.iterated(&solutions)?;
         active.retain(|state| !state.converged(config));
         if active.is_empty() {
             break;
@@ -148,10 +174,10 @@ pub fn minimise<O: Objective>(
 fn check_costs<O: Objective>(
     costs: &Array2<f32>,
     states: &[&mut Problem<'_>],
-    config: &CemConfig,
+    samples: usize,
     objective: &O,
 ) -> Result<()> {
-    let expected = (states.len(), config.samples);
+    let expected = (states.len(), samples);
     if costs.dim() != expected {
         return Err(Error::Model(format!(
             "costs must have shape {expected:?}, got {:?}",
@@ -168,5 +194,7 @@ fn check_costs<O: Objective>(
     }
     Ok(())
 }
+#[cfg(test)]
+mod options_tests;
 #[cfg(test)]
 mod tests;

@@ -3,10 +3,11 @@
 use ndarray::{Array2, Array3, ArrayView1};
 use rayon::prelude::*;
 
-use super::distribution::{Bounds, DiagonalGaussian, Initial};
+use super::distribution::{Gaussian, Space, Start};
 use super::elites::elites;
+use super::noise::{draw, Mixing};
 use super::{BestOf, CemConfig};
-use crate::planner::sampler::{draw, Draw, Stream};
+use crate::planner::sampler::Stream;
 
 /// How one problem stood after one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,6 +32,8 @@ pub struct Solution {
     pub candidate: Vec<f32>,
     /// Its cost.
     pub cost: f32,
+    /// Elites of the last iteration that was run, `[E, N]`, best first; fewer where costs are NaN.
+    pub elites: Vec<f32>,
     /// One entry per iteration that was run.
     pub history: Vec<IterationStats>,
 }
@@ -38,14 +41,14 @@ pub struct Solution {
 /// What all problems have in common.
 pub(super) struct Sampling<'a> {
     pub config: &'a CemConfig,
-    pub bounds: &'a Bounds,
+    pub space: &'a Space,
     pub dimensions: usize,
 }
 
 impl Sampling<'_> {
     /// New candidates of every problem, `[B', D, N]`.
     pub fn candidates(&self, iteration: usize, states: &[&mut Problem<'_>]) -> Array3<f32> {
-        let numbers: Vec<u32> = (0..self.config.samples as u32).collect();
+        let numbers: Vec<u32> = (0..self.config.samples_in(iteration) as u32).collect();
         let shape = (states.len(), numbers.len(), self.dimensions);
         let mut candidates = vec![0.0_f32; shape.0 * shape.1 * shape.2];
         candidates
@@ -74,8 +77,8 @@ impl Sampling<'_> {
 pub(super) struct Problem<'a> {
     pub number: usize,
     stream: Stream,
-    initial: &'a Initial,
-    refitted: DiagonalGaussian,
+    start: &'a Start,
+    refitted: Gaussian,
     /// Elites carried over from the last iteration, `[keep, N]`, best first, and their costs.
     kept: Vec<f32>,
     pub kept_costs: Vec<f32>,
@@ -83,24 +86,49 @@ pub(super) struct Problem<'a> {
 }
 
 impl<'a> Problem<'a> {
-    pub fn new(number: usize, stream: Stream, initial: &'a Initial) -> Self {
+    pub fn new(number: usize, stream: Stream, start: &'a Start) -> Self {
         Self {
             number,
             stream,
-            initial,
-            refitted: DiagonalGaussian::default(),
+            start,
+            refitted: Gaussian::default(),
             kept: Vec::new(),
             kept_costs: Vec::new(),
-            solution: Solution { candidate: Vec::new(), cost: f32::INFINITY, history: Vec::new() },
+            solution: Solution {
+                candidate: Vec::new(),
+                cost: f32::INFINITY,
+                elites: Vec::new(),
+                history: Vec::new(),
+            },
         }
     }
 
     fn draw(&self, sampling: &Sampling<'_>, iteration: usize, samples: &[u32], rows: &mut [f32]) {
-        let from: Draw<'_> = match iteration {
-            0 => self.initial.draw(sampling.bounds),
-            _ => self.refitted.draw(sampling.bounds),
+        let Space { bounds, noise } = sampling.space;
+        let from = match iteration {
+            0 => self.start.initial.draw(bounds),
+            _ => self.refitted.draw(bounds),
         };
-        draw(self.stream.in_iteration(iteration), iteration, samples, from, rows);
+        let mixing = match (noise, &self.refitted.correlation) {
+            (Some(coloured), _) => Mixing::Coloured(coloured),
+            (None, Some(correlation)) => Mixing::Correlated(correlation),
+            (None, None) => Mixing::None,
+        };
+        draw(self.stream.in_iteration(iteration), iteration, samples, mixing, from, rows);
+        if iteration == 0 {
+            self.place_given(sampling.dimensions, samples, rows);
+        }
+    }
+
+    /// The candidates that the search begins with, in place of those with the first numbers.
+    fn place_given(&self, dimensions: usize, samples: &[u32], rows: &mut [f32]) {
+        let given = &self.start.candidates;
+        for (&sample, row) in samples.iter().zip(rows.chunks_exact_mut(dimensions)) {
+            let first = sample as usize * dimensions;
+            if let Some(candidate) = given.get(first..first + dimensions) {
+                row.copy_from_slice(candidate);
+            }
+        }
     }
 
     /// Elites, best so far, refit: the part of an iteration after the costs are known.
@@ -126,7 +154,10 @@ impl<'a> Problem<'a> {
             self.solution.candidate = elites[..sampling.dimensions].to_vec();
             self.solution.cost = elite_costs[0];
         }
-        self.refitted = DiagonalGaussian::fit(&elites, sampling.dimensions);
+        if iteration == 0 {
+            self.refitted = self.start.initial.moments();
+        }
+        self.refitted = self.refitted.refitted(sampling.config, &elites, &elite_costs);
         let keep = sampling.config.keep_elites.min(ranked.len());
         self.kept = elites[..keep * sampling.dimensions].to_vec();
         self.kept_costs = elite_costs[..keep].to_vec();
@@ -137,6 +168,7 @@ impl<'a> Problem<'a> {
             population_mean: mean(costs.iter().filter(|cost| cost.is_finite())),
             max_std: self.refitted.max_std(),
         });
+        self.solution.elites = elites;
     }
 
     /// The candidates of rank `ranked` (kept ones first, then new ones), `[E, N]`. The new ones

@@ -2,8 +2,9 @@
 
 use ndarray::ArrayView2;
 
-use crate::planner::cem::distribution::{Bounds, Initial};
-use crate::planner::cem::CemConfig;
+use crate::planner::cem::distribution::{Bounds, Initial, Space};
+use crate::planner::cem::noise::Coloured;
+use crate::planner::cem::{CemConfig, Covariance};
 use crate::planner::model::ActionSpace;
 use crate::planner::sampler::LONGEST_NORMAL;
 use crate::{Error, Result};
@@ -43,9 +44,20 @@ pub struct MpcConfig {
     /// a warm start) are clipped to the action box. The authors' released code never clips: its
     /// environment does, and its model sees actions as large as they are drawn.
     pub clip: bool,
+    /// How fast the power of the noise of drawn actions falls with its frequency, over the time
+    /// steps of a plan: 0 for white noise, 2 for iCEM's (Pinneri et al., 2020); see
+    /// [`Coloured`].
+    pub noise_beta: f64,
+    /// Best candidates of the last iteration that a plan keeps; with a warm start they compete
+    /// again in the next plan's first iteration, shifted by the step that was acted, in place of as
+    /// many samples (iCEM's shifted elites).
+    pub shift_elites: usize,
     /// Budget (`D`, `D*`, iterations).
     pub cem: CemConfig,
 }
+
+/// Most actions of a candidate whose noise is coloured: each draw takes their square.
+const MAX_COLOURED: usize = 256;
 
 impl Default for MpcConfig {
     /// The paper's maze: five steps ahead, first iteration uniform over the action box.
@@ -56,6 +68,8 @@ impl Default for MpcConfig {
             initial: ActionInitial::Uniform { low: None, high: None },
             warm_start_std: 1.0,
             clip: true,
+            noise_beta: 0.0,
+            shift_elites: 0,
             cem: CemConfig::default(),
         }
     }
@@ -81,6 +95,33 @@ impl MpcConfig {
             return Err(Error::invalid(
                 "warm_start_std",
                 format!("must be finite and positive, got {}", self.warm_start_std),
+            ));
+        }
+        if !(self.noise_beta >= 0.0 && self.noise_beta.is_finite()) {
+            return Err(Error::invalid(
+                "noise_beta",
+                format!("must be finite and not negative, got {}", self.noise_beta),
+            ));
+        }
+        if self.noise_beta > 0.0 && self.decisions() > MAX_COLOURED {
+            return Err(Error::invalid(
+                "noise_beta",
+                format!(
+                    "is for at most {MAX_COLOURED} actions, and a plan has {}",
+                    self.decisions()
+                ),
+            ));
+        }
+        if self.noise_beta > 0.0 && self.cem.covariance != Covariance::Diagonal {
+            return Err(Error::invalid(
+                "noise_beta",
+                format!("must be 0 with covariance 'full', got {}", self.noise_beta),
+            ));
+        }
+        if self.shift_elites > self.cem.elites {
+            return Err(Error::invalid(
+                "shift_elites",
+                format!("must be at most elites ({}), got {}", self.cem.elites, self.shift_elites),
             ));
         }
         if let ActionInitial::Normal { mean, std } = self.initial {
@@ -141,10 +182,17 @@ impl MpcConfig {
         Ok(Initial::Uniform { low: low.repeat(decisions), high: high.repeat(decisions) })
     }
 
-    /// A Gaussian around the last plan, `[H, A]`, shifted by the step that was acted: its last
-    /// action is repeated, and steps held together are averaged.
+    /// A Gaussian around the last plan, `[H, A]`, shifted by the step that was acted.
     pub(super) fn initial_around(&self, plan: ArrayView2<'_, f32>, space: &ActionSpace) -> Initial {
-        let mut mean = Vec::with_capacity(self.decisions() * space.dim());
+        let mean = self.shifted(plan, space);
+        let std = vec![self.warm_start_std as f32; mean.len()];
+        Initial::Normal { mean, std }
+    }
+
+    /// The candidate of an action sequence, `[H, A]`, shifted by the step that was acted: its last
+    /// action is repeated, and steps held together are averaged.
+    pub(super) fn shifted(&self, plan: ArrayView2<'_, f32>, space: &ActionSpace) -> Vec<f32> {
+        let mut candidate = Vec::with_capacity(self.decisions() * space.dim());
         for decision in 0..self.decisions() {
             for dimension in 0..space.dim() {
                 let held = (0..self.action_repeat).map(|step| {
@@ -153,20 +201,23 @@ impl MpcConfig {
                 });
                 let average = held.sum::<f32>() / self.action_repeat as f32;
                 let (low, high) = (space.low()[dimension], space.high()[dimension]);
-                mean.push(if self.clip { average.clamp(low, high) } else { average });
+                candidate.push(if self.clip { average.clamp(low, high) } else { average });
             }
         }
-        let std = vec![self.warm_start_std as f32; mean.len()];
-        Initial::Normal { mean, std }
+        candidate
     }
 
-    /// What candidates are clipped to.
-    pub(super) fn bounds(&self, space: &ActionSpace) -> Bounds {
+    /// What candidates are clipped to, and what colour their noise has.
+    pub(super) fn space(&self, space: &ActionSpace) -> Space {
         let decisions = self.decisions();
-        if !self.clip {
-            return Bounds::unbounded(decisions * space.dim());
-        }
-        Bounds { low: space.low().repeat(decisions), high: space.high().repeat(decisions) }
+        let bounds = match self.clip {
+            true => {
+                Bounds { low: space.low().repeat(decisions), high: space.high().repeat(decisions) }
+            }
+            false => Bounds::unbounded(decisions * space.dim()),
+        };
+        let coloured = || Coloured::new(self.noise_beta, decisions, space.dim());
+        Space { bounds, noise: (self.noise_beta > 0.0).then(coloured) }
     }
 }
 

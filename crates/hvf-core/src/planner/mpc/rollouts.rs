@@ -37,7 +37,8 @@ impl<W: WorldModel> Rollouts<'_, W> {
         if !self.world.uses_seeds() {
             return None;
         }
-        let mut seeds = Array2::zeros((problems.len(), self.config.cem.samples));
+        let samples = self.config.cem.samples_in(iteration);
+        let mut seeds = Array2::zeros((problems.len(), samples));
         for (mut row, &problem) in seeds.outer_iter_mut().zip(problems) {
             let stream = self.problems.streams[problem].in_iteration(iteration);
             draw_seeds(stream, iteration, row.as_slice_mut().expect("standard layout"));

@@ -21,7 +21,7 @@ fn solve(
     warm_start: Option<&Array3<f32>>,
     share_rollouts: bool,
 ) -> Result<Vec<Plan>> {
-    let warm_start = warm_start.map(|plans| plans.view());
+    let warm_start = warm_start.map(|plans| plans.view().into());
     let describe = |problem: usize| format!("problem {problem}");
     let problems =
         Problems { starts, goals, streams, warm_start, share_rollouts, describe: &describe };

@@ -5,7 +5,7 @@ use crate::planner::mpc::MpcConfig;
 use crate::{Error, Result};
 
 /// How the costs of the segments make the cost of a sample.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Reduction {
     /// The hardest segment (paper, equation 4).
     Max,

@@ -5,12 +5,11 @@
 //! and it sees what pixels do not: that two things rarely change within one segment, however small
 //! they are.
 
-use ndarray::{Array2, Array3};
+use ndarray::{Array2, Array3, Axis};
 
-use super::Reduction;
-use crate::planner::cem::{Call, Objective};
+use super::{decoded, latents_of, HvfConfig, Progress, SearchResult, SearchStats, Watch};
+use crate::planner::cem::{Call, Objective, Solution};
 use crate::planner::model::{Frames, SubgoalModel};
-use crate::planner::mpc::Interrupt;
 use crate::{Error, Result};
 
 /// Samples of subgoals as an objective: latents to what the generator says of their segments.
@@ -18,29 +17,49 @@ pub(super) struct Likelihoods<'a, F, G> {
     pub generator: &'a G,
     pub start: &'a F,
     pub goal: &'a F,
-    pub subgoals: usize,
+    pub config: &'a HvfConfig,
     pub latent_dim: usize,
-    pub reduction: Reduction,
-    pub interrupt: Interrupt<'a>,
+    pub watch: Watch<'a, F>,
+}
+
+impl<F: Frames, G: SubgoalModel<F>> Likelihoods<'_, F, G> {
+    /// What the search answers with, but for the plans, if `solution` is what the optimisation
+    /// does.
+    ///
+    /// # Errors
+    /// Whatever keeps the generator from drawing.
+    pub fn found(&self, solution: &Solution) -> Result<SearchResult<F>> {
+        let latents = latents_of(solution, self.config.subgoals);
+        let subgoals = decoded(self.generator, self.start, latents.clone().insert_axis(Axis(0)))?;
+        let none = |&costs| SearchStats { costs, evaluated: 0, skipped: 0 };
+        let history = solution.history.iter().map(none).collect();
+        Ok(SearchResult { subgoals, latents, cost: solution.cost, plans: Vec::new(), history })
+    }
 }
 
 impl<F: Frames, G: SubgoalModel<F>> Objective for Likelihoods<'_, F, G> {
     fn costs(&mut self, _call: Call<'_>, candidates: Array3<f32>) -> Result<Array2<f32>> {
-        (self.interrupt)()?;
+        (self.watch.interrupt)()?;
         let (_, count, _) = candidates.dim();
         let latents = candidates
-            .into_shape_with_order((count, self.subgoals, self.latent_dim))
+            .into_shape_with_order((count, self.config.subgoals, self.latent_dim))
             .expect("a candidate has K x L values");
         let segments = self.generator.segment_costs(self.start, self.goal, latents)?;
-        if segments.dim() != (count, self.subgoals + 1) {
+        if segments.dim() != (count, self.config.subgoals + 1) {
             return Err(Error::Model(format!(
                 "segment_costs must give shape [{count}, {}], got {:?}",
-                self.subgoals + 1,
+                self.config.subgoals + 1,
                 segments.shape()
             )));
         }
-        let costs = segments.outer_iter().map(|costs| self.reduction.of(costs.iter().copied()));
+        let reduction = self.config.reduction;
+        let costs = segments.outer_iter().map(|costs| reduction.of(costs.iter().copied()));
         Ok(Array2::from_shape_vec((1, count), costs.collect()).expect("one cost per sample"))
+    }
+
+    fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
+        let best = self.found(solutions[0])?;
+        (self.watch.progress)(Progress { iterations: self.config.cem.iterations, best })
     }
 }
 

@@ -13,11 +13,12 @@
 mod config;
 mod likelihood;
 mod samples;
+mod watch;
 
 use ndarray::{Array2, Array3, Axis};
 
-use super::cem::distribution::{Bounds, Initial};
-use super::cem::{minimise, IterationStats};
+use super::cem::distribution::{Bounds, Initial, Space, Start};
+use super::cem::{minimise, IterationStats, Solution};
 use super::model::{Frames, SubgoalModel, WorldModel};
 use super::mpc::{plan, Interrupt, Plan, Problems};
 use super::sampler::{Purpose, Stream, MAX_DIMENSIONS};
@@ -26,6 +27,7 @@ use likelihood::Likelihoods;
 use samples::Samples;
 
 pub use config::{HvfConfig, Reduction, SegmentCost};
+pub use watch::{Progress, Watch};
 
 /// How the search stood after one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +59,8 @@ pub struct SearchResult<F> {
 ///
 /// # Errors
 /// A setting out of range, frames that are not single, an error of one of the models, a
-/// generator that gives another number of frames, or the error that `interrupt` gives.
+/// generator that gives another number of frames, or an error of who watches. What was found
+/// until then has gone to [`Watch::progress`].
 pub fn search<W, G>(
     config: &HvfConfig,
     world: &W,
@@ -65,7 +68,7 @@ pub fn search<W, G>(
     start: &W::Frames,
     goal: &W::Frames,
     seed: u64,
-    interrupt: Interrupt<'_>,
+    watch: Watch<'_, W::Frames>,
 ) -> Result<SearchResult<W::Frames>>
 where
     W: WorldModel,
@@ -81,7 +84,7 @@ where
         }
     }
     if config.subgoals == 0 {
-        return plan_directly(config, world, start, goal, seed, interrupt);
+        return plan_directly(config, world, start, goal, seed, watch.interrupt);
     }
     let latent_dim = generator.latent_dim();
     let dimensions = config.subgoals.saturating_mul(latent_dim);
@@ -94,31 +97,17 @@ where
             format!("must be at most {}, got {}", MAX_DIMENSIONS / latent_dim, config.subgoals),
         ));
     }
-    let prior = [Initial::Normal { mean: vec![0.0; dimensions], std: vec![1.0; dimensions] }];
+    let prior = Initial::Normal { mean: vec![0.0; dimensions], std: vec![1.0; dimensions] };
+    let prior = [Start::from(prior)];
     let streams = [Stream { seed, purpose: Purpose::Latents, problem: 0 }];
-    let bounds = Bounds::unbounded(dimensions);
-    let latents_of = |candidate| {
-        Array2::from_shape_vec((config.subgoals, latent_dim), candidate)
-            .expect("a candidate has K x L values")
-    };
+    let space = Space::from(Bounds::unbounded(dimensions));
     if config.segment_cost == SegmentCost::Likelihood {
-        let mut samples = Likelihoods {
-            generator,
-            start,
-            goal,
-            subgoals: config.subgoals,
-            latent_dim,
-            reduction: config.reduction,
-            interrupt,
-        };
-        let mut solutions = minimise(&config.cem, &bounds, &prior, &streams, &mut samples)?;
-        let solution = solutions.pop().expect("one problem, one solution");
-        let latents = latents_of(solution.candidate);
-        let subgoals = decoded(generator, start, latents.clone().insert_axis(Axis(0)))?;
-        let plans = plan_along(config, world, [start, &subgoals, goal], seed, interrupt)?;
-        let none = |&costs| SearchStats { costs, evaluated: 0, skipped: 0 };
-        let history = solution.history.iter().map(none).collect();
-        return Ok(SearchResult { subgoals, latents, cost: solution.cost, plans, history });
+        let mut samples = Likelihoods { generator, start, goal, config, latent_dim, watch };
+        let mut solutions = minimise(&config.cem, &space, &prior, &streams, &mut samples)?;
+        let mut found = samples.found(&solutions.pop().expect("one problem, one solution"))?;
+        let ends = [start, &found.subgoals, goal];
+        found.plans = plan_along(config, world, ends, seed, watch.interrupt)?;
+        return Ok(found);
     }
     let mut samples = Samples {
         config,
@@ -127,24 +116,20 @@ where
         start,
         goal,
         seed,
-        interrupt,
+        watch,
         latent_dim,
         best: None,
         counts: Vec::new(),
     };
-    let mut solutions = minimise(&config.cem, &bounds, &prior, &streams, &mut samples)?;
-    let solution = solutions.pop().expect("one problem, one solution");
-    let best = samples.best.expect("at least one sample was completed");
-    let history = solution.history.iter().zip(&samples.counts);
-    Ok(SearchResult {
-        subgoals: best.subgoals,
-        latents: latents_of(solution.candidate),
-        cost: solution.cost,
-        plans: best.plans,
-        history: history
-            .map(|(&costs, &(evaluated, skipped))| SearchStats { costs, evaluated, skipped })
-            .collect(),
-    })
+    let mut solutions = minimise(&config.cem, &space, &prior, &streams, &mut samples)?;
+    Ok(samples.found(&solutions.pop().expect("one problem, one solution")))
+}
+
+/// The latents of a candidate, `[K, L]`.
+fn latents_of(solution: &Solution, subgoals: usize) -> Array2<f32> {
+    let candidate = solution.candidate.clone();
+    Array2::from_shape_vec((subgoals, candidate.len() / subgoals), candidate)
+        .expect("a candidate has K x L values")
 }
 
 /// No subgoals: one segment from start to goal.

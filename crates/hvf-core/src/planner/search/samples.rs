@@ -2,10 +2,13 @@
 
 use ndarray::{Array2, Array3};
 
-use super::{decoded, segment_stream, HvfConfig, Reduction};
-use crate::planner::cem::{elites, BestOf, Call, Objective};
+use super::{
+    decoded, latents_of, segment_stream, HvfConfig, Progress, Reduction, SearchResult, SearchStats,
+    Watch,
+};
+use crate::planner::cem::{elites, BestOf, Call, Objective, Solution};
 use crate::planner::model::{Frames, SubgoalModel, WorldModel};
-use crate::planner::mpc::{plan, Interrupt, Plan, Problems};
+use crate::planner::mpc::{plan, Plan, Problems};
 use crate::planner::sampler::Stream;
 use crate::Result;
 
@@ -23,9 +26,9 @@ impl Sample {
 
 /// What belongs to the candidate that the optimisation would answer with.
 pub(super) struct Best<F> {
-    pub subgoals: F,
+    subgoals: F,
     cost: f32,
-    pub plans: Vec<Plan>,
+    plans: Vec<Plan>,
 }
 
 /// Samples of subgoals as an objective: latents to images to planning costs.
@@ -36,7 +39,7 @@ pub(super) struct Samples<'a, W: WorldModel, G> {
     pub start: &'a W::Frames,
     pub goal: &'a W::Frames,
     pub seed: u64,
-    pub interrupt: Interrupt<'a>,
+    pub watch: Watch<'a, W::Frames>,
     pub latent_dim: usize,
     pub best: Option<Best<W::Frames>>,
     /// Planning problems (evaluated, skipped) of every iteration.
@@ -44,6 +47,21 @@ pub(super) struct Samples<'a, W: WorldModel, G> {
 }
 
 impl<W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'_, W, G> {
+    /// What the search answers with, if `solution` is what the optimisation does.
+    pub fn found(&self, solution: &Solution) -> SearchResult<W::Frames> {
+        let best = self.best.as_ref().expect("at least one sample was completed");
+        let history = solution.history.iter().zip(&self.counts);
+        SearchResult {
+            subgoals: best.subgoals.clone(),
+            latents: latents_of(solution, self.config.subgoals),
+            cost: solution.cost,
+            plans: best.plans.clone(),
+            history: history
+                .map(|(&costs, &(evaluated, skipped))| SearchStats { costs, evaluated, skipped })
+                .collect(),
+        }
+    }
+
     /// Plans segment `segment` of the samples `which`; `decoded` holds their subgoals.
     fn plan_segment(
         &self,
@@ -78,7 +96,7 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'_, W, G> {
                 format!("segment {segment} of sample {} in iteration {iteration}", which[problem])
             },
         };
-        let plans = plan(&self.config.mpc, self.world, &problems, self.interrupt)?;
+        let plans = plan(&self.config.mpc, self.world, &problems, self.watch.interrupt)?;
         for (&sample, plan) in which.iter().zip(plans) {
             samples[sample].plans.push(plan);
         }
@@ -151,7 +169,7 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'_, W, G> {
 
 impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> {
     fn costs(&mut self, call: Call<'_>, candidates: Array3<f32>) -> Result<Array2<f32>> {
-        (self.interrupt)()?;
+        (self.watch.interrupt)()?;
         let (_, count, _) = candidates.dim();
         let subgoals = self.config.subgoals;
         let latents = candidates
@@ -175,5 +193,10 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> 
             .collect();
         self.remember_best(call, &mut samples, &costs, &decoded)?;
         Ok(Array2::from_shape_vec((1, count), costs).expect("one cost per sample"))
+    }
+
+    fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
+        let best = self.found(solutions[0]);
+        (self.watch.progress)(Progress { iterations: self.config.cem.iterations, best })
     }
 }

@@ -24,7 +24,7 @@ fn run_in(
     seed: u64,
 ) -> Result<SearchResult<Points>> {
     let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
-    search(config, world, generator, &start, &goal, seed, &|| Ok(()))
+    search(config, world, generator, &start, &goal, seed, Watch::nobody())
 }
 
 fn run(config: &HvfConfig, seed: u64) -> SearchResult<Points> {
@@ -230,7 +230,9 @@ fn several_starts_or_goals_are_refused() {
     let (world, generator) = (PointMass::new(), Positions::new());
     let config = small(1);
     let go = |start: &Points, goal: &Points| {
-        search(&config, &world, &generator, start, goal, 0, &|| Ok(())).unwrap_err().to_string()
+        search(&config, &world, &generator, start, goal, 0, Watch::nobody())
+            .unwrap_err()
+            .to_string()
     };
     assert!(go(&two, &one).starts_with("start"));
     assert!(go(&one, &two).starts_with("goal"));
