@@ -1,7 +1,7 @@
 //! What planners are called with beside models and frames: seeds, earlier plans, corners.
 
 use hvf_core_rs::planner::Plan;
-use ndarray::{Array3, Array4, Axis, Ix1, Ix2, Ix3, Ix4};
+use ndarray::{Array3, Array4, Axis, Ix1, Ix2, Ix3, Ix4, Slice};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
@@ -41,11 +41,12 @@ pub struct LastPlans {
     pub elites: Option<Array4<f32>>,
 }
 
-/// A plan to start from: a `Plan` or actions `[H, A]`; and its best candidates, unless it brings its
-/// own: `[S, H, A]`.
+/// A plan to start from: a `Plan` or actions `[H, A]`; and its best candidates `[S, H, A]`, unless it
+/// brings its own, of which the next plan takes `most`.
 pub fn one_warm_start(
     plan: Option<&Bound<'_, PyAny>>,
     elites: Option<&Bound<'_, PyAny>>,
+    most: usize,
 ) -> PyResult<Option<LastPlans>> {
     let read = |elites| numbers::<f32, Ix3>("warm_elites", elites, "a float array [S, H, A]");
     let given = elites.map(read).transpose()?.map(|elites| elites.insert_axis(Axis(0)));
@@ -56,18 +57,19 @@ pub fn one_warm_start(
         let Plan { actions, elites, .. } = &plan.get().inner;
         return Ok(Some(LastPlans {
             actions: actions.clone().insert_axis(Axis(0)),
-            elites: given.or_else(|| Some(elites.clone().insert_axis(Axis(0)))),
+            elites: given.or_else(|| Some(best(elites.clone().insert_axis(Axis(0)), most))),
         }));
     }
     let actions = numbers::<f32, Ix2>("warm_start", plan, "a Plan or a float array [H, A]")?;
     Ok(Some(LastPlans { actions: actions.insert_axis(Axis(0)), elites: given }))
 }
 
-/// Plans to start from: `Plans` or actions `[B, H, A]`; and their best candidates, unless they bring
-/// their own: `[B, S, H, A]`.
+/// Plans to start from: `Plans` or actions `[B, H, A]`; and their best candidates `[B, S, H, A]`,
+/// unless they bring their own, of which each next plan takes `most`.
 pub fn warm_starts(
     plans: Option<&Bound<'_, PyAny>>,
     elites: Option<&Bound<'_, PyAny>>,
+    most: usize,
 ) -> PyResult<Option<LastPlans>> {
     let read = |elites| numbers::<f32, Ix4>("warm_elites", elites, "a float array [B, S, H, A]");
     let given = elites.map(read).transpose()?;
@@ -78,11 +80,17 @@ pub fn warm_starts(
         let plans = plans.get();
         return Ok(Some(LastPlans {
             actions: plans.stacked_actions(),
-            elites: given.or_else(|| Some(plans.stacked_elites())),
+            elites: given.or_else(|| Some(best(plans.stacked_elites(), most))),
         }));
     }
     let actions = numbers::<f32, Ix3>("warm_start", plans, "Plans or a float array [B, H, A]")?;
     Ok(Some(LastPlans { actions, elites: given }))
+}
+
+/// At most `most` candidates of each plan: a planner may shift fewer than the last one did.
+fn best(mut elites: Array4<f32>, most: usize) -> Array4<f32> {
+    elites.slice_axis_inplace(Axis(1), Slice::from(..elites.len_of(Axis(1)).min(most)));
+    elites
 }
 
 fn none_without_plan(elites: Option<Array4<f32>>) -> PyResult<Option<LastPlans>> {

@@ -3,7 +3,6 @@
 use hvf_core_rs::planner::mpc::plan;
 use hvf_core_rs::planner::sampler::{Purpose, Stream};
 use hvf_core_rs::planner::{ActionInitial, Frames, MpcConfig, Plan, Problems, WarmStart};
-use ndarray::{s, Axis};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -150,7 +149,7 @@ impl PyVisualMpc {
         warm_elites: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<PyPlan> {
         let seed = seed.seed("seed")?;
-        let warm_start = one_warm_start(warm_start, warm_elites)?;
+        let warm_start = one_warm_start(warm_start, warm_elites, self.config.shift_elites)?;
         let plans = with_border!(model, |border| {
             let start = one_frame(&border, "start", start)?;
             let goal = one_frame(&border, "goal", goal)?;
@@ -174,7 +173,7 @@ impl PyVisualMpc {
         warm_start: Option<&Bound<'_, PyAny>>,
         warm_elites: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<PyPlans> {
-        let warm_start = warm_starts(warm_start, warm_elites)?;
+        let warm_start = warm_starts(warm_start, warm_elites, self.config.shift_elites)?;
         let inner = with_border!(model, |border| {
             let starts = border.read("starts", starts, Axes::Batch)?;
             let goals = border.read("goals", goals, Axes::Batch)?;
@@ -352,13 +351,9 @@ impl PyVisualMpc {
             .iter()
             .map(|&seed| Stream { seed, purpose: Purpose::Actions, problem: 0 })
             .collect();
-        // A planner that shifts fewer than the last one did takes the best of them.
-        let most = self.config.shift_elites;
         let warm_start = last.as_ref().map(|LastPlans { actions, elites }| WarmStart {
             actions: actions.view(),
-            elites: elites
-                .as_ref()
-                .map(|elites| elites.slice(s![.., ..elites.len_of(Axis(1)).min(most), .., ..])),
+            elites: elites.as_ref().map(|elites| elites.view()),
         });
         let solved = detached(py, || {
             let problems = Problems {

@@ -1,7 +1,9 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use crate::planner::cem::{BestOf, CemConfig};
+use std::cell::RefCell;
+
+use crate::planner::cem::{BestOf, CemConfig, Covariance};
 use crate::planner::mpc::MpcConfig;
 use crate::planner::point_mass::{PointMass, Points, Positions};
 use ndarray::{ArrayView2, Axis};
@@ -264,5 +266,78 @@ proptest! {
             run_in(&config, &world, &Positions::new(), seed).unwrap()
         });
         assert_same(&found, &expected);
+    }
+}
+
+#[test]
+fn watchers_are_told_the_best_so_far_after_every_iteration() {
+    for segment_cost in [SegmentCost::Planned, SegmentCost::Likelihood] {
+        let config = HvfConfig { segment_cost, ..small(2) };
+        let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
+        let told = RefCell::new(Vec::new());
+        let note = |progress: Progress<Points>| {
+            told.borrow_mut().push(progress);
+            Ok(())
+        };
+        let watch = Watch { interrupt: &|| Ok(()), progress: &note };
+        let (world, generator) = (PointMass::new(), Positions::new());
+        let found = search(&config, &world, &generator, &start, &goal, 3, watch).unwrap();
+        let told = told.into_inner();
+        assert_eq!(told.len(), found.history.len());
+        for (n, Progress { iterations, best }) in told.iter().enumerate() {
+            assert_eq!((*iterations, best.history.len()), (3, n + 1));
+            let lowest = best.history.iter().map(|stats| stats.costs.best).fold(9e9, f32::min);
+            assert_eq!(best.cost, lowest);
+            assert_eq!(best.subgoals.0, positions(&best.latents));
+        }
+        let last = &told.last().unwrap().best;
+        assert_eq!((&last.subgoals, last.cost), (&found.subgoals, found.cost));
+        if segment_cost == SegmentCost::Planned {
+            assert_eq!(last.plans, found.plans);
+        }
+    }
+}
+
+fn positions(latents: &Array2<f32>) -> Vec<[f32; 2]> {
+    latents.outer_iter().map(|row| Positions::position(&row.to_vec())).collect()
+}
+
+#[test]
+fn what_watchers_were_told_outlives_the_error_that_ends_a_search() {
+    let config = small(1);
+    let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
+    let (full, partial) = (run(&config, 3), RefCell::new(None));
+    let note = |progress: Progress<Points>| match progress.best.history.len() {
+        2 => Err(Error::Interrupted),
+        _ => {
+            *partial.borrow_mut() = Some(progress.best);
+            Ok(())
+        }
+    };
+    let watch = Watch { interrupt: &|| Ok(()), progress: &note };
+    let (world, generator) = (PointMass::new(), Positions::new());
+    let error = search(&config, &world, &generator, &start, &goal, 3, watch).unwrap_err();
+    assert!(matches!(error, Error::Interrupted));
+    let partial = partial.into_inner().unwrap();
+    assert_eq!(partial.cost, full.history[0].costs.best);
+    assert_eq!(partial.plans.len(), 2);
+}
+
+#[test]
+fn options_of_the_search_change_nothing_about_its_savings() {
+    let covariance = Covariance::Full { shrinkage: 0.2 };
+    for samples_decay in [1.0, 1.5] {
+        let mut config = small(2);
+        config.cem = CemConfig {
+            covariance,
+            samples_decay,
+            momentum: 0.1,
+            temperature: Some(0.5),
+            keep_elites: 2,
+            min_std: 0.05,
+            ..config.cem
+        };
+        let plain = HvfConfig { prune: false, share_rollouts: false, ..config.clone() };
+        assert_same(&run(&config, 1), &run(&plain, 1));
     }
 }
