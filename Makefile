@@ -52,9 +52,8 @@ test-python: setup ## (internal) pytest
 quick: setup ## Build and run the tests in Python that do not take long
 	$(BIN)/python -m pytest $(PYTEST) -m "not slow"
 
-bench: setup ## Throughput of maze, costs and planner; ratios to numpy and torch
-	cargo bench -p hvf-core
-	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+bench: setup ## Throughput of maze, costs and planner; ratios to numpy and torch; a JSON of it all
+	$(BIN)/python benchmarks/run.py --out $(OUT)/bench.json
 
 lint: lint-rust lint-python ## Formatting, clippy, ruff, mypy, stub
 

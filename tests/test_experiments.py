@@ -52,6 +52,18 @@ def stub(evaluation: Evaluation, successes: int, trials: int) -> Report:
     return Report.of(evaluation.name, head, records, 1.0, {"commit": "c0ffee", "changes": None})
 
 
+def settings(evaluation: Evaluation | None) -> dict[str, object]:
+    """Of planning, and what draws subgoals."""
+    assert evaluation is not None
+    world = evaluation.place.resolved(evaluation.world)
+    return {**vars(evaluation.planning), "generator": world.generator}
+
+
+def differences(one: Evaluation | None, other: Evaluation) -> dict[str, object]:
+    """Settings of the first that the other does not have."""
+    return {k: v for k, v in settings(one).items() if v != settings(other)[k]}
+
+
 def test_every_maze_table_of_the_paper_is_there() -> None:
     found = {table.name: table for table in tables(PAPER)}
     assert set(found) == {"methods", "subgoals", "reduction", "samples", "horizon", "cost"}
@@ -69,14 +81,28 @@ def test_every_maze_table_of_the_paper_is_there() -> None:
     assert [row[2] for row in published["methods"][1:3]] == [0.47, 0.54]
 
 
-def test_numbers_shared_with_the_domain_are_the_same() -> None:
-    for table in tables(PAPER):
-        for cell in [cell for row in table.rows.values() for cell in row]:
-            evaluation = cell.evaluation
-            assert evaluation is not None
-            if table.name == "methods":
-                known = evaluation.place.published.get((evaluation.method, evaluation.subgoals), {})
-                assert known.get(evaluation.task) == cell.published
+def test_the_desk_has_every_task_and_the_numbers_of_the_papers_text() -> None:
+    (table,) = tables(Setup("desk"))
+    assert table.columns == ("door", "two_block", "door_block", "door_two_block")
+    published = {name: [cell.published for cell in row] for name, row in table.rows.items()}
+    assert published.pop("no subgoals") == [None, None, None, 0.15]
+    assert published.pop("HVF-1") == [None, None, None, 0.15]
+    assert published.pop("HVF-2") == [None, None, None, 0.42]
+    assert all(row == [None] * 4 for row in published.values())
+
+
+def test_objectives_at_the_desk_differ_in_what_a_sample_costs_and_in_its_budget_only() -> None:
+    (table,) = tables(Setup("desk", "default", split="validation"), ["objective"])
+    about_samples = {
+        "segment_cost", "reduction", "subgoal_samples", "subgoal_elites", "subgoal_iterations"
+    }  # fmt: skip
+    for column, task in enumerate(("two_block", "door_block", "door_two_block")):
+        cells = [row[column].evaluation for row in table.rows.values()]
+        assert len(set(cells)) == len(cells) == 6
+        default = Evaluation.of("desk", task=task, subgoals=2 if task == "door_two_block" else 1)
+        assert default in cells
+        for cell in cells:
+            assert differences(cell, default).keys() <= about_samples
 
 
 @pytest.mark.parametrize("preset", ["paper", "released", "default"])
@@ -122,14 +148,6 @@ def test_the_ablation_goes_from_our_settings_to_the_papers_one_at_a_time() -> No
     published = Evaluation.of("maze", "paper", subgoals=2)
     searched = {name: cells[1].evaluation for name, cells in table.rows.items()}
     assert (searched.pop("default"), searched.pop("paper")) == (ours, published)
-
-    def settings(evaluation: Evaluation | None) -> dict[str, object]:
-        assert evaluation is not None
-        world = evaluation.place.resolved(evaluation.world)
-        return {**vars(evaluation.planning), "generator": world.generator}
-
-    def differences(one: Evaluation | None, other: Evaluation) -> dict[str, object]:
-        return {k: v for k, v in settings(one).items() if v != settings(other)[k]}
 
     one_by_one = {"default": {}, "paper": {}}
     for name, evaluation in searched.items():

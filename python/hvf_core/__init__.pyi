@@ -916,11 +916,11 @@ class LayerFrames:
 class LayerWorld:
     """The desk's learned dynamics model, evaluated in Rust; a world model with actions in [-1, 1].
 
-    `hvf.worlds.desk_learned.DeskLearnedWorld` makes one from a trained
-    `hvf.models.desk.dynamics.DeskDynamics`. The cost is the squared pixel distance of the predicted
-    frame to the goal, per pixel. Costs agree with those of torch to 1e-3 of their value, rollouts
-    of 15 steps to 1e-2 pixels. Actions beyond the box are taken as they are: the model, which was
-    trained within it, extrapolates.
+    `hvf.worlds.layers.LayerWorld` makes one from a trained
+    `hvf.models.layers.dynamics.LayerDynamics`. The cost is the squared pixel distance of the
+    predicted frame to the goal, per pixel. Costs agree with those of torch to 1e-3 of their value,
+    rollouts of 15 steps to 1e-2 pixels. Actions beyond the box are taken as they are: the model,
+    which was trained within it, extrapolates.
 
     Letters in shapes: `A` = 3 action dimensions, `G` = 2 sliders, `R` parts that roam, `C` length
     of their memory, `T` size of a tile, `W` size of a sprite, `S` image size, `X` = A + G + 3R

@@ -23,6 +23,7 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report
 from hvf.evaluation.statistics import difference_interval
 from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.desk import desk
 from hvf.experiments.maze import maze
 from hvf.experiments.parallel import Failure, report_of, run_all
 from hvf.experiments.tables import line, notes, rate
@@ -37,7 +38,7 @@ LEGEND = (
 )
 
 
-EXPERIMENTS: Mapping[str, Callable[[Setup], list[PaperTable]]] = {"maze": maze}
+EXPERIMENTS: Mapping[str, Callable[[Setup], list[PaperTable]]] = {"desk": desk, "maze": maze}
 """Domain to its tables."""
 
 

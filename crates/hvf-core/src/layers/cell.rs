@@ -1,7 +1,7 @@
 //! One step of the desk's dynamics: the hand, then what slides, then what is pushed.
 //!
-//! The twin of `hvf.models.desk.cell.Cell`, for a block of candidates. A part moves only where the
-//! hand's way comes within reach of it, so its network runs for those alone: near pairs of a
+//! The twin of `hvf.models.layers.cell.Cell`, for a block of candidates. A part moves only where
+//! the hand's way comes within reach of it, so its network runs for those alone: near pairs of a
 //! candidate and a part are gathered into full blocks of [`LANES`].
 
 use multiversion::multiversion;

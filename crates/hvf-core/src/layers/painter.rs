@@ -1,8 +1,8 @@
 //! A predicted frame: the start frame without its arm, changed, with the arm before it.
 //!
-//! The twin of `hvf.models.desk.perception.DeskPerception.draw`. What is drawn are the tiles of the
-//! start frame that change, about a third of them: where the backdrop's images differ, where a part
-//! was or is that moved, and where the arm is.
+//! The twin of `hvf.models.layers.perception.LayerPerception.draw`. What is drawn are the tiles of
+//! the start frame that change, about a third of them: where the backdrop's images differ, where a
+//! part was or is that moved, and where the arm is.
 
 use multiversion::multiversion;
 
