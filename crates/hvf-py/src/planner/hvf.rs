@@ -334,19 +334,18 @@ impl PyHvf {
             ));
         }
         let told = progress.map(|progress| progress.clone().unbind());
-        let partial = Mutex::new(None);
-        let note = |now: Progress<FramesOf<B>>| {
-            let (done, cost) = (now.best.history.len(), now.best.cost);
-            *partial.lock().unwrap_or_else(PoisonError::into_inner) = Some(now.best);
-            let Some(told) = &told else {
-                return Ok(());
-            };
-            Python::attach(|py| told.call1(py, (done, now.iterations, cost)))
+        let tell = |Progress { iteration, iterations, cost, .. }| match &told {
+            None => Ok(()),
+            Some(told) => Python::attach(|py| told.call1(py, (iteration, iterations, cost)))
                 .map(drop)
-                .map_err(raised)
+                .map_err(raised),
+        };
+        let partial = Mutex::new(None);
+        let keep = |found| {
+            *partial.lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
         };
         let found = detached(py, || {
-            let watch = Watch { interrupt: &signals(), progress: &note };
+            let watch = Watch { interrupt: &signals(), progress: &tell, partial: &keep };
             search(&self.config, border.world(), generator, start, goal, seed, watch)
         })?;
         let partial = partial.into_inner().unwrap_or_else(PoisonError::into_inner);

@@ -20,6 +20,8 @@ pub(super) struct Likelihoods<'a, F, G> {
     pub config: &'a HvfConfig,
     pub latent_dim: usize,
     pub watch: Watch<'a, F>,
+    /// How the optimisation stood after its last iteration.
+    pub latest: Option<Solution>,
 }
 
 impl<F: Frames, G: SubgoalModel<F>> Likelihoods<'_, F, G> {
@@ -58,8 +60,13 @@ impl<F: Frames, G: SubgoalModel<F>> Objective for Likelihoods<'_, F, G> {
     }
 
     fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
-        let best = self.found(solutions[0])?;
-        (self.watch.progress)(Progress { iterations: self.config.cem.iterations, best })
+        let solution = solutions[0];
+        self.latest = Some(solution.clone());
+        (self.watch.progress)(Progress {
+            iteration: solution.history.len(),
+            iterations: self.config.cem.iterations,
+            cost: solution.cost,
+        })
     }
 }
 

@@ -60,7 +60,7 @@ pub struct SearchResult<F> {
 /// # Errors
 /// A setting out of range, frames that are not single, an error of one of the models, a
 /// generator that gives another number of frames, or an error of who watches. What was found
-/// until then has gone to [`Watch::progress`].
+/// until then goes to [`Watch::partial`].
 pub fn search<W, G>(
     config: &HvfConfig,
     world: &W,
@@ -102,11 +102,25 @@ where
     let streams = [Stream { seed, purpose: Purpose::Latents, problem: 0 }];
     let space = Space::from(Bounds::unbounded(dimensions));
     if config.segment_cost == SegmentCost::Likelihood {
-        let mut samples = Likelihoods { generator, start, goal, config, latent_dim, watch };
-        let mut solutions = minimise(&config.cem, &space, &prior, &streams, &mut samples)?;
-        let mut found = samples.found(&solutions.pop().expect("one problem, one solution"))?;
+        let mut samples =
+            Likelihoods { generator, start, goal, config, latent_dim, watch, latest: None };
+        let outcome = minimise(&config.cem, &space, &prior, &streams, &mut samples);
+        let latest = samples.latest.take().map(|solution| samples.found(&solution));
+        if let Err(error) = outcome {
+            if let Some(Ok(partial)) = latest {
+                (watch.partial)(partial);
+            }
+            return Err(error);
+        }
+        let mut found = latest.expect("an iteration was finished")?;
         let ends = [start, &found.subgoals, goal];
-        found.plans = plan_along(config, world, ends, seed, watch.interrupt)?;
+        match plan_along(config, world, ends, seed, watch.interrupt) {
+            Ok(plans) => found.plans = plans,
+            Err(error) => {
+                (watch.partial)(found);
+                return Err(error);
+            }
+        }
         return Ok(found);
     }
     let mut samples = Samples {
@@ -118,11 +132,19 @@ where
         seed,
         watch,
         latent_dim,
+        latest: None,
         best: None,
         counts: Vec::new(),
     };
-    let mut solutions = minimise(&config.cem, &space, &prior, &streams, &mut samples)?;
-    Ok(samples.found(&solutions.pop().expect("one problem, one solution")))
+    let outcome = minimise(&config.cem, &space, &prior, &streams, &mut samples);
+    let latest = samples.latest.take().map(|solution| samples.found(&solution));
+    match outcome {
+        Ok(_) => Ok(latest.expect("an iteration was finished")),
+        Err(error) => {
+            latest.map(watch.partial);
+            Err(error)
+        }
+    }
 }
 
 /// The latents of a candidate, `[K, L]`.

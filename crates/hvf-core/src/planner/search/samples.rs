@@ -40,6 +40,8 @@ pub(super) struct Samples<'a, W: WorldModel, G> {
     pub goal: &'a W::Frames,
     pub seed: u64,
     pub watch: Watch<'a, W::Frames>,
+    /// How the optimisation stood after its last iteration.
+    pub latest: Option<Solution>,
     pub latent_dim: usize,
     pub best: Option<Best<W::Frames>>,
     /// Planning problems (evaluated, skipped) of every iteration.
@@ -196,7 +198,12 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> 
     }
 
     fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
-        let best = self.found(solutions[0]);
-        (self.watch.progress)(Progress { iterations: self.config.cem.iterations, best })
+        let solution = solutions[0];
+        self.latest = Some(solution.clone());
+        (self.watch.progress)(Progress {
+            iteration: solution.history.len(),
+            iterations: self.config.cem.iterations,
+            cost: solution.cost,
+        })
     }
 }

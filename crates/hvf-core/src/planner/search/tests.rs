@@ -270,57 +270,71 @@ proptest! {
 }
 
 #[test]
-fn watchers_are_told_the_best_so_far_after_every_iteration() {
+fn watchers_are_told_how_the_search_stands_after_every_iteration() {
     for segment_cost in [SegmentCost::Planned, SegmentCost::Likelihood] {
         let config = HvfConfig { segment_cost, ..small(2) };
-        let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
         let told = RefCell::new(Vec::new());
-        let note = |progress: Progress<Points>| {
-            told.borrow_mut().push(progress);
+        let note = |progress: Progress| {
+            told.borrow_mut().push((progress.iteration, progress.iterations, progress.cost));
             Ok(())
         };
-        let watch = Watch { interrupt: &|| Ok(()), progress: &note };
-        let (world, generator) = (PointMass::new(), Positions::new());
-        let found = search(&config, &world, &generator, &start, &goal, 3, watch).unwrap();
-        let told = told.into_inner();
-        assert_eq!(told.len(), found.history.len());
-        for (n, Progress { iterations, best }) in told.iter().enumerate() {
-            assert_eq!((*iterations, best.history.len()), (3, n + 1));
-            let lowest = best.history.iter().map(|stats| stats.costs.best).fold(9e9, f32::min);
-            assert_eq!(best.cost, lowest);
-            assert_eq!(best.subgoals.0, positions(&best.latents));
-        }
-        let last = &told.last().unwrap().best;
-        assert_eq!((&last.subgoals, last.cost), (&found.subgoals, found.cost));
-        if segment_cost == SegmentCost::Planned {
-            assert_eq!(last.plans, found.plans);
+        let watch = Watch {
+            progress: &note,
+            partial: &|_| panic!("nothing ended the search"),
+            ..Watch::nobody()
+        };
+        let found = watched(&config, watch).unwrap();
+        let mut best = f32::INFINITY;
+        let expected = found.history.iter().enumerate().map(|(n, stats)| {
+            best = best.min(stats.costs.best);
+            (n + 1, 3, best)
+        });
+        assert_eq!(told.into_inner(), expected.collect::<Vec<_>>());
+    }
+}
+
+fn watched(config: &HvfConfig, watch: Watch<'_, Points>) -> Result<SearchResult<Points>> {
+    let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
+    search(config, &PointMass::new(), &Positions::new(), &start, &goal, 3, watch)
+}
+
+#[test]
+fn an_error_leaves_what_was_found_by_the_last_finished_iteration() {
+    for segment_cost in [SegmentCost::Planned, SegmentCost::Likelihood] {
+        let config = HvfConfig { segment_cost, ..small(2) };
+        for ends_at in 1..=3 {
+            let partial = RefCell::new(None);
+            let end = |progress: Progress| match progress.iteration == ends_at {
+                true => Err(Error::Interrupted),
+                false => Ok(()),
+            };
+            let keep = |found| *partial.borrow_mut() = Some(found);
+            let watch = Watch { progress: &end, partial: &keep, ..Watch::nobody() };
+            assert!(matches!(watched(&config, watch).unwrap_err(), Error::Interrupted));
+            let found = partial.into_inner().unwrap();
+            // What a search with no more iterations answers.
+            let mut shorter = config.clone();
+            shorter.cem.iterations = ends_at;
+            let expected = watched(&shorter, Watch::nobody()).unwrap();
+            assert_eq!((found.subgoals, found.latents), (expected.subgoals, expected.latents));
+            assert_eq!((found.cost, found.history), (expected.cost, expected.history));
+            match segment_cost {
+                SegmentCost::Planned => assert_eq!(found.plans, expected.plans),
+                SegmentCost::Likelihood => assert!(found.plans.is_empty()),
+            }
         }
     }
 }
 
-fn positions(latents: &Array2<f32>) -> Vec<[f32; 2]> {
-    latents.outer_iter().map(|row| Positions::position(&row.to_vec())).collect()
-}
-
 #[test]
-fn what_watchers_were_told_outlives_the_error_that_ends_a_search() {
-    let config = small(1);
-    let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
-    let (full, partial) = (run(&config, 3), RefCell::new(None));
-    let note = |progress: Progress<Points>| match progress.best.history.len() {
-        2 => Err(Error::Interrupted),
-        _ => {
-            *partial.borrow_mut() = Some(progress.best);
-            Ok(())
-        }
+fn an_error_in_the_first_iteration_leaves_nothing() {
+    let stop = || Err(Error::Interrupted);
+    let watch = Watch {
+        interrupt: &stop,
+        partial: &|_| panic!("no iteration was finished"),
+        ..Watch::nobody()
     };
-    let watch = Watch { interrupt: &|| Ok(()), progress: &note };
-    let (world, generator) = (PointMass::new(), Positions::new());
-    let error = search(&config, &world, &generator, &start, &goal, 3, watch).unwrap_err();
-    assert!(matches!(error, Error::Interrupted));
-    let partial = partial.into_inner().unwrap();
-    assert_eq!(partial.cost, full.history[0].costs.best);
-    assert_eq!(partial.plans.len(), 2);
+    assert!(watched(&small(1), watch).is_err());
 }
 
 #[test]

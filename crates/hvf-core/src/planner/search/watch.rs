@@ -5,12 +5,14 @@ use crate::planner::mpc::Interrupt;
 use crate::Result;
 
 /// How a search stands after an iteration.
-#[derive(Clone, Debug)]
-pub struct Progress<F> {
-    /// Most iterations; as many as [`SearchResult::history`] is long are done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Iterations that are done.
+    pub iteration: usize,
+    /// Most iterations.
     pub iterations: usize,
-    /// What the search would answer if it ended now. A search by likelihood has made no plans yet.
-    pub best: SearchResult<F>,
+    /// Cost of what the search would answer now.
+    pub cost: f32,
 }
 
 /// Who looks at a search while it works, and may end it.
@@ -18,13 +20,16 @@ pub struct Watch<'a, F> {
     /// Asked between two calls of a model.
     pub interrupt: Interrupt<'a>,
     /// Told after every iteration; its error ends the search.
-    pub progress: &'a dyn Fn(Progress<F>) -> Result<()>,
+    pub progress: &'a dyn Fn(Progress) -> Result<()>,
+    /// Given, where an error ends the search after its first iteration, what it would have answered
+    /// after the last iteration that was finished; by likelihood, without plans.
+    pub partial: &'a dyn Fn(SearchResult<F>),
 }
 
 impl<F> Watch<'_, F> {
     /// Nobody: the search goes on to its end.
     pub fn nobody() -> Self {
-        Self { interrupt: &|| Ok(()), progress: &|_| Ok(()) }
+        Self { interrupt: &|| Ok(()), progress: &|_| Ok(()), partial: &|_| () }
     }
 }
 
