@@ -5,11 +5,11 @@
 
 use criterion::{criterion_group, criterion_main, Criterion, Throughput};
 use hvf_core::maze::{Difficulty, Episode, MazeFrames, MazeSubgoals, MazeWorld, MazeWorldConfig};
+use hvf_core::planner::cem::distribution::{Bounds, Initial, Space, Start};
 use hvf_core::planner::cem::{minimise, Call, CemConfig, Objective};
-use hvf_core::planner::distribution::{Bounds, Initial};
 use hvf_core::planner::mpc::plan;
 use hvf_core::planner::sampler::{Purpose, Stream};
-use hvf_core::planner::{search, HvfConfig, MpcConfig, Problems};
+use hvf_core::planner::{search, HvfConfig, MpcConfig, Problems, Watch};
 use hvf_core::Result;
 use ndarray::{Array2, Array3};
 
@@ -38,13 +38,15 @@ fn cem_own_work(criterion: &mut Criterion) {
     let streams: Vec<Stream> = (0..PROBLEMS as u64)
         .map(|problem| Stream { seed: 0, purpose: Purpose::Actions, problem })
         .collect();
-    let uniform = Initial::Uniform { low: bounds.low.clone(), high: bounds.high.clone() };
+    let uniform: Start =
+        Initial::Uniform { low: bounds.low.clone(), high: bounds.high.clone() }.into();
+    let space = Space::from(bounds);
     let candidates = PROBLEMS * config.samples * config.iterations;
     group.throughput(Throughput::Elements(candidates as u64));
     group.bench_function("600_problems_x_200_samples_x_10_dims", |bencher| {
         let mut objective = Free { costs: costs.clone() };
         bencher.iter(|| {
-            minimise(&config, &bounds, std::slice::from_ref(&uniform), &streams, &mut objective)
+            minimise(&config, &space, std::slice::from_ref(&uniform), &streams, &mut objective)
         });
     });
     group.finish();
@@ -110,7 +112,7 @@ fn subgoal_search(criterion: &mut Criterion) {
     for (name, config) in cases {
         group.bench_function(name, |bencher| {
             bencher.iter(|| {
-                search(&config, &world, &generator, &start, &goal, 0, &|| Ok(())).unwrap()
+                search(&config, &world, &generator, &start, &goal, 0, Watch::nobody()).unwrap()
             });
         });
     }

@@ -8,6 +8,7 @@ from typing import Any
 from hvf.evaluation.evaluation import Evaluation
 from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.experiments.methods import methods
+from hvf.experiments.planners import planners
 from hvf.registry import METHODS
 
 Published = Mapping[str, Mapping[int, float]]
@@ -86,6 +87,7 @@ def maze(setup: Setup) -> list[PaperTable]:
             {name: cost(name) for name in _BY_COST},
         ),
         _ablation(setup),
+        planners(setup, "hard"),
     ]
 
 

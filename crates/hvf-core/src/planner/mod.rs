@@ -5,9 +5,7 @@
 //! it choose the latents of a [`SubgoalModel`]'s images by what it costs to plan between them.
 
 pub mod cem;
-pub mod distribution;
-mod elites;
-mod likelihood;
+mod hashing;
 pub mod model;
 pub mod mpc;
 pub mod philox;
@@ -15,11 +13,12 @@ pub mod philox;
 mod point_mass;
 #[cfg(test)]
 mod protocol_tests;
-mod rollouts;
 pub mod sampler;
 pub mod search;
 
-pub use cem::{BestOf, CemConfig, IterationStats};
+pub use cem::{BestOf, CemConfig, Covariance, IterationStats};
 pub use model::{ActionSpace, Candidates, Frames, SharedCandidates, SubgoalModel, WorldModel};
-pub use mpc::{ActionInitial, Interrupt, MpcConfig, Plan, Problems};
-pub use search::{search, HvfConfig, Reduction, SearchResult, SearchStats, SegmentCost};
+pub use mpc::{ActionInitial, Interrupt, MpcConfig, Plan, Problems, WarmStart};
+pub use search::{
+    search, HvfConfig, Progress, Reduction, SearchResult, SearchStats, SegmentCost, Watch,
+};
