@@ -40,6 +40,7 @@ class LayerWorld(Around):
         blur: float = 0.0,
         over_horizon: OverHorizon = "last",
         hold: int = 1,
+        scene_weight: float = 0.0,
     ) -> None:
         self.dynamics = dynamics.eval().requires_grad_(False)
         cell, perception = dynamics.cell, dynamics.perception
@@ -61,6 +62,7 @@ class LayerWorld(Around):
             blur=blur,
             over_horizon=over_horizon,
             hold=hold,
+            scene_weight=scene_weight,
         )
 
     @property
@@ -153,7 +155,9 @@ class LayerWorld(Around):
 
 def world_of(dynamics: LayerDynamics, planning: Planning) -> LayerWorld:
     """The world that a trained model is, with the cost of plan settings."""
-    return LayerWorld(dynamics, planning.blur, planning.over_horizon, planning.action_repeat)
+    import os
+    w = float(os.environ.get("HVF_W", "0"))
+    return LayerWorld(dynamics, planning.blur, planning.over_horizon, planning.action_repeat, w)
 
 
 def _layers(network: nn.Module) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:

@@ -71,6 +71,10 @@ pub struct Canvas {
     drawn: Vec<usize>,
     /// These tiles, `[drawn][3][T * T]`.
     values: Vec<f32>,
+    /// Numbers of tiles that differ from the still frame without the arm.
+    changed: Vec<usize>,
+    /// These tiles without the arm, `[changed][3][T * T]`.
+    bare: Vec<f32>,
 }
 
 impl Scene<'_> {
@@ -90,6 +94,12 @@ impl Canvas {
     #[inline(always)]
     pub fn drawn(&self, tiles: Tiles) -> impl Iterator<Item = (usize, &[f32])> {
         self.drawn.iter().copied().zip(self.values.chunks_exact(tiles.values()))
+    }
+
+    /// Tiles in which something moved behind the arm, without it: `[3][T * T]`, 0 to 255.
+    #[inline(always)]
+    pub fn bare(&self, tiles: Tiles) -> impl Iterator<Item = (usize, &[f32])> {
+        self.changed.iter().copied().zip(self.bare.chunks_exact(tiles.values()))
     }
 }
 
@@ -155,6 +165,8 @@ impl Painter {
             arm: vec![0.0; 4 * self.tiles.plane()],
             drawn: Vec::with_capacity(count),
             values: vec![0.0; count * values],
+            changed: Vec::with_capacity(count),
+            bare: vec![0.0; count * values],
         }
     }
 
@@ -235,6 +247,7 @@ fn paint(painter: &Painter, scene: &Scene<'_>, state: &[f32], canvas: &mut Canva
     let values = painter.tiles.values();
     painter.find(scene, state, canvas);
     canvas.drawn.clear();
+    canvas.changed.clear();
     for tile in 0..painter.tiles.count() {
         let (slid, pushed) = (canvas.slid[tile], canvas.pushed[tile]);
         let armed = canvas.armed[tile / 64] >> (tile % 64) & 1 != 0;
@@ -252,6 +265,13 @@ fn paint(painter: &Painter, scene: &Scene<'_>, state: &[f32], canvas: &mut Canva
         }
         if pushed {
             painter.push(scene, tile, canvas);
+        }
+        if slid || pushed {
+            let bare = &mut canvas.bare[canvas.changed.len() * values..][..values];
+            for (bare, behind) in bare.iter_mut().zip(&canvas.behind) {
+                *bare = behind.clamp(0.0, 255.0);
+            }
+            canvas.changed.push(tile);
         }
         let out = &mut canvas.values[canvas.drawn.len() * values..][..values];
         let behind = if slid || pushed {
