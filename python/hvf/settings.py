@@ -7,6 +7,7 @@ is a value of them. The paper's names are in brackets.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any, Literal, TypeAlias
 
@@ -117,6 +118,8 @@ class Planning:
             cost: for budgets so small that a good plan may not be found again.
         blur: standard deviation of a Gaussian blur of frames before they are compared, pixels.
         over_horizon: predicted frames that count: the last (the paper's), their sum or minimum.
+        scene_weight: how often the distance of what is behind the arm counts, beside that of whole
+            frames; for dynamics that tell the two apart (layers), no other has a use for it.
         subgoal_samples: subgoal samples per iteration (M).
         subgoal_elites: of which the best are kept (M*).
         subgoal_iterations: iterations of the search for subgoals.
@@ -166,6 +169,7 @@ class Planning:
     keep_better: bool = False
     blur: float = 0.0
     over_horizon: OverHorizon = "last"
+    scene_weight: float = 0.0
     subgoal_samples: int = 200
     subgoal_elites: int = 40
     subgoal_iterations: int = 5
@@ -192,6 +196,10 @@ class Planning:
         self.replanning.check(self.horizon)
         check_blur("blur", self.blur)
         check_word("over_horizon", self.over_horizon, ("last", "sum", "min"))
+        if not 0 <= self.scene_weight < math.inf:
+            raise ValueError(
+                f"scene_weight: must be finite and not negative, got {self.scene_weight}"
+            )
         if self.shift_elites and not self.warm_start:
             raise ValueError("shift_elites: belongs to warm_start, which is off")
         if self.steps is not None and self.steps < 1:

@@ -948,6 +948,8 @@ class LayerWorld:
         blur: standard deviation of the Gaussian blur before frames are compared, in pixels.
         over_horizon: `"last"`, `"sum"` or `"min"` over the predicted frames.
         hold: steps that each action is held for; only frames after a held action count.
+        scene_weight: how often what is behind the arm counts, beside the whole frame: the squared
+            distance of frames without their arms, where the goal's hides nothing, without a blur.
 
     Raises:
         ValueError: shapes that do not fit each other, or numbers out of range, of any size.
@@ -972,6 +974,7 @@ class LayerWorld:
         blur: float = 0.0,
         over_horizon: Literal["last", "sum", "min"] = "last",
         hold: SupportsIndex = 1,
+        scene_weight: float = 0.0,
     ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]:

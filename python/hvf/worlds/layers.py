@@ -32,6 +32,7 @@ class LayerWorld(Around):
             goals are compared; 0 for none.
         over_horizon: whether the last predicted frame counts, their sum, or their minimum.
         hold: steps that each action is held for; only frames after a held action count.
+        scene_weight: how often what is behind the arm counts, beside the whole image.
     """
 
     def __init__(
@@ -155,9 +156,13 @@ class LayerWorld(Around):
 
 def world_of(dynamics: LayerDynamics, planning: Planning) -> LayerWorld:
     """The world that a trained model is, with the cost of plan settings."""
-    import os
-    w = float(os.environ.get("HVF_W", "0"))
-    return LayerWorld(dynamics, planning.blur, planning.over_horizon, planning.action_repeat, w)
+    return LayerWorld(
+        dynamics,
+        planning.blur,
+        planning.over_horizon,
+        planning.action_repeat,
+        planning.scene_weight,
+    )
 
 
 def _layers(network: nn.Module) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:

@@ -101,11 +101,6 @@ impl LayerFrames {
         &self.pool.images[self.index[i] * bytes..][..bytes]
     }
 
-    /// Image `i` without its arm, in tiles, from 0 to 255.
-    pub(super) fn clean(&self, i: usize) -> &[f32] {
-        self.start(i).clean
-    }
-
     /// Image `i`, `[S, S, 3]`.
     pub fn image(&self, i: usize) -> Vec<u8> {
         let tiles = self.pool.painter.tiles();

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::frames::LayerFrames;
 use super::painter::{Canvas, Scene};
+use super::scenery::Scenery;
 use super::smoother::{Scratch, Smoother};
 use super::tiles::Tiles;
 use crate::image::{squared_norm_f32, GaussianBlur};
@@ -30,24 +31,9 @@ pub struct Blur {
 pub struct Goals<'a> {
     tiles: Tiles,
     kind: Kind<'a>,
-    /// Weight of the scene without the arm, and what it is like at each goal.
-    bare: Option<(f64, Vec<Bare<'a>>)>,
+    /// Weight of what is behind the arm, and each goal of it.
+    scenery: Option<(f64, Vec<Scenery<'a>>)>,
 }
-
-/// A goal without its arm, where that does not hide it.
-#[derive(Debug)]
-struct Bare<'a> {
-    /// In tiles, 0 to 255.
-    clean: &'a [f32],
-    /// 1 where the goal is seen, 0 where the arm is: in tiles.
-    seen: Vec<f32>,
-    /// Squared distance of each tile of the still frame, and the sum of these.
-    still: Vec<f64>,
-    whole: f64,
-}
-
-/// Difference of a colour, of 255, from which on the arm is before a pixel.
-const ARM: f32 = 8.0;
 
 #[derive(Debug)]
 enum Kind<'a> {
@@ -92,18 +78,21 @@ impl Blur {
 }
 
 impl<'a> Goals<'a> {
-    /// The goals at `which` in `frames`, for candidates in `scene`.
+    /// The goals at `which` in `frames`, for candidates in `scene`; what is behind the arm counts
+    /// `scene_weight` times, beside the whole.
     pub fn new(
         scene: &Scene<'_>,
         frames: &'a LayerFrames,
         which: std::ops::Range<usize>,
         tiles: Tiles,
         blur: Option<&'a Blur>,
-        weight: f64,
+        scene_weight: f64,
     ) -> Self {
         let which = which.into_par_iter();
-        let bare = (weight > 0.0)
-            .then(|| (weight, which.clone().map(|i| Bare::new(scene, frames, i, tiles)).collect()));
+        let scenery = (scene_weight > 0.0).then(|| {
+            let goals = which.clone().map(|i| Scenery::new(scene, frames, i, tiles));
+            (scene_weight, goals.collect())
+        });
         let kind = match blur {
             None => Kind::Plain(
                 which.map(|i| Plain::new(scene.still(), frames.tiles(i), tiles.values())).collect(),
@@ -115,7 +104,7 @@ impl<'a> Goals<'a> {
                     .collect(),
             ),
         };
-        Self { tiles, kind, bare }
+        Self { tiles, kind, scenery }
     }
 
     /// Room for comparing a frame.
@@ -140,7 +129,7 @@ impl<'a> Goals<'a> {
         let pixels = self.tiles.count() * self.tiles.plane();
         let scale = 1.0 / (255.0 * 255.0 * pixels as f64);
         let mut visit = |goal: usize, sum: f64| {
-            let sum = match &self.bare {
+            let sum = match &self.scenery {
                 Some((weight, goals)) => sum + weight * goals[goal].distance(canvas, self.tiles),
                 None => sum,
             };
@@ -172,58 +161,6 @@ impl<'a> Goals<'a> {
             }
             (Kind::Blurred(..), None) => unreachable!("room for blurs is made by `comparison`"),
         }
-    }
-}
-
-impl<'a> Bare<'a> {
-    fn new(scene: &Scene<'_>, frames: &'a LayerFrames, i: usize, tiles: Tiles) -> Self {
-        let (clean, image, values) = (frames.clean(i), frames.tiles(i), tiles.values());
-        let plane = tiles.plane();
-        let mut seen = vec![0.0; clean.len()];
-        for ((seen, clean), image) in seen
-            .chunks_exact_mut(values)
-            .zip(clean.chunks_exact(values))
-            .zip(image.chunks_exact(values))
-        {
-            for pixel in 0..plane {
-                let hidden = (0..3).any(|colour| {
-                    let at = colour * plane + pixel;
-                    (clean[at].clamp(0.0, 255.0) - f32::from(image[at])).abs() > ARM
-                });
-                for colour in 0..3 {
-                    seen[colour * plane + pixel] = if hidden { 0.0 } else { 1.0 };
-                }
-            }
-        }
-        let mut goal = Self { clean, seen, still: Vec::new(), whole: 0.0 };
-        goal.still = scene
-            .still()
-            .chunks_exact(values)
-            .enumerate()
-            .map(|(tile, still)| goal.tile(tile, still))
-            .collect();
-        goal.whole = goal.still.iter().sum();
-        goal
-    }
-
-    fn tile(&self, tile: usize, drawn: &[f32]) -> f64 {
-        let at = tile * drawn.len();
-        let goal = self.clean[at..].iter().zip(&self.seen[at..]);
-        drawn
-            .iter()
-            .zip(goal)
-            .map(|(drawn, (goal, seen))| {
-                let apart = drawn - goal.clamp(0.0, 255.0);
-                seen * apart * apart
-            })
-            .sum::<f32>()
-            .into()
-    }
-
-    fn distance(&self, canvas: &Canvas, tiles: Tiles) -> f64 {
-        let changes: f64 =
-            canvas.bare(tiles).map(|(tile, drawn)| self.tile(tile, drawn) - self.still[tile]).sum();
-        (self.whole + changes).max(0.0)
     }
 }
 

@@ -71,10 +71,10 @@ pub struct Canvas {
     drawn: Vec<usize>,
     /// These tiles, `[drawn][3][T * T]`.
     values: Vec<f32>,
-    /// Numbers of tiles that differ from the still frame without the arm.
+    /// Numbers of tiles that differ from the still frame without the arm, too.
     changed: Vec<usize>,
     /// These tiles without the arm, `[changed][3][T * T]`.
-    bare: Vec<f32>,
+    changes: Vec<f32>,
 }
 
 impl Scene<'_> {
@@ -98,8 +98,8 @@ impl Canvas {
 
     /// Tiles in which something moved behind the arm, without it: `[3][T * T]`, 0 to 255.
     #[inline(always)]
-    pub fn bare(&self, tiles: Tiles) -> impl Iterator<Item = (usize, &[f32])> {
-        self.changed.iter().copied().zip(self.bare.chunks_exact(tiles.values()))
+    pub fn behind(&self, tiles: Tiles) -> impl Iterator<Item = (usize, &[f32])> {
+        self.changed.iter().copied().zip(self.changes.chunks_exact(tiles.values()))
     }
 }
 
@@ -166,7 +166,7 @@ impl Painter {
             drawn: Vec::with_capacity(count),
             values: vec![0.0; count * values],
             changed: Vec::with_capacity(count),
-            bare: vec![0.0; count * values],
+            changes: vec![0.0; count * values],
         }
     }
 
@@ -267,9 +267,9 @@ fn paint(painter: &Painter, scene: &Scene<'_>, state: &[f32], canvas: &mut Canva
             painter.push(scene, tile, canvas);
         }
         if slid || pushed {
-            let bare = &mut canvas.bare[canvas.changed.len() * values..][..values];
-            for (bare, behind) in bare.iter_mut().zip(&canvas.behind) {
-                *bare = behind.clamp(0.0, 255.0);
+            let changes = &mut canvas.changes[canvas.changed.len() * values..][..values];
+            for (change, behind) in changes.iter_mut().zip(&canvas.behind) {
+                *change = behind.clamp(0.0, 255.0);
             }
             canvas.changed.push(tile);
         }

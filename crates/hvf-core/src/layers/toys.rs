@@ -137,6 +137,23 @@ pub fn painter(seed: u64, tile: usize) -> Painter {
     Painter::new(backdrop, sprites(seed), gallery).unwrap()
 }
 
+/// [`world`] with an arm that nobody sees.
+pub fn world_without_arm(seed: u64, tile: usize) -> LayerWorld {
+    let (mut patches, index) = gallery_images(seed, tile);
+    patches.fill(0);
+    let images = GalleryImages {
+        low: [-1.0, -0.8, -1.2],
+        step: [1.1, 0.7, 2.0],
+        places: PLACES,
+        patches: patches.view(),
+        index: index.view(),
+    };
+    let gallery = Gallery::new(&images, SIZE).unwrap();
+    let backdrop = Backdrop::new(table(seed).view(), gallery.tiles()).unwrap();
+    let painter = Painter::new(backdrop, sprites(seed), gallery).unwrap();
+    LayerWorld::new(cell(seed), painter, 0.0, OverHorizon::Last).unwrap()
+}
+
 pub fn world(seed: u64, tile: usize, blur: f64, over_horizon: OverHorizon) -> LayerWorld {
     LayerWorld::new(cell(seed), painter(seed, tile), blur, over_horizon).unwrap()
 }

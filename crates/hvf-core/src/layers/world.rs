@@ -81,7 +81,15 @@ impl LayerWorld {
         let actions = ActionSpace::new(limit.iter().map(|x| -x).collect(), limit)?;
         let tiles = painter.tiles();
         let blur = GaussianBlur::new(blur_sigma, "blur")?.map(|blur| Blur::new(blur, tiles));
-        Ok(Self { cell, painter: Arc::new(painter), actions, blur, over_horizon, hold: 1, scene_weight: 0.0 })
+        Ok(Self {
+            cell,
+            painter: Arc::new(painter),
+            actions,
+            blur,
+            over_horizon,
+            hold: 1,
+            scene_weight: 0.0,
+        })
     }
 
     /// The same world for actions that are held for `hold` steps each: of the frames of a
@@ -96,7 +104,9 @@ impl LayerWorld {
         }
     }
 
-    /// The same world whose cost has `weight` times the distance of what is behind the arm, too.
+    /// The same world in whose cost what is behind the arm counts once more, `weight` times: the
+    /// squared distance of frames without their arms, where the goal's hides nothing, per pixel and
+    /// without a blur.
     ///
     /// # Errors
     /// A weight that is negative or not finite.
