@@ -11,6 +11,7 @@ use crate::planner::sampler::Stream;
 
 /// How one problem stood after one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct IterationStats {
     /// Lowest cost among the elites.
     pub best: f32,
@@ -26,6 +27,7 @@ pub struct IterationStats {
 
 /// What the optimisation found for one problem.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Solution {
     /// Best candidate of the iterations that [`CemConfig::best`] says, `[N]`; among equals, the
     /// earliest.

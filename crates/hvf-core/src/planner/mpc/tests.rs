@@ -23,7 +23,7 @@ fn solve(
     warm_start: Option<&Array3<f32>>,
     share_rollouts: bool,
 ) -> Result<Vec<Plan>> {
-    let warm_start = warm_start.map(|plans| plans.view().into());
+    let warm_start = warm_start.map(WarmStart::from);
     let describe = |problem: usize| format!("problem {problem}");
     let problems =
         Problems { starts, goals, streams, warm_start, share_rollouts, describe: &describe };
@@ -276,7 +276,7 @@ fn watched(config: &MpcConfig, warm_start: Option<WarmStart<'_>>) -> Result<(Pla
         starts: &starts,
         goals: &goals,
         streams: &[stream(4, 0)],
-        warm_start: warm_start.map(|WarmStart { actions, elites }| WarmStart { actions, elites }),
+        warm_start,
         share_rollouts: true,
         describe: &|problem| format!("problem {problem}"),
     };
@@ -331,21 +331,21 @@ fn a_warm_start_begins_with_the_shifted_elites() {
     let [actions, elites] = [before.actions.clone().into_dyn(), before.elites.clone().into_dyn()];
     let actions = actions.insert_axis(Axis(0)).into_dimensionality().unwrap();
     let elites = elites.insert_axis(Axis(0)).into_dimensionality().unwrap();
-    let warm = WarmStart { actions: actions.view(), elites: Some(elites.view()) };
+    let warm = WarmStart { actions: &actions, elites: Some(&elites) };
     let (with, seen) = watched(&config, Some(warm)).unwrap();
     for (elite, candidate) in before.elites.outer_iter().zip(seen.chunks(6)) {
         let steps: Vec<f32> = [1, 2, 2].iter().flat_map(|&step| elite.row(step).to_vec()).collect();
         assert_eq!(candidate, steps);
     }
     // The others are drawn as without.
-    let (without, plain) = watched(&config, Some(WarmStart::from(actions.view()))).unwrap();
+    let (without, plain) = watched(&config, Some(WarmStart::from(&actions))).unwrap();
     assert_eq!(seen[12..200 * 6], plain[12..200 * 6]);
     assert_eq!(with.elites.dim(), without.elites.dim());
     let fewer = MpcConfig { shift_elites: 1, ..config.clone() };
     let error = watched(&fewer, Some(warm)).unwrap_err().to_string();
     assert!(error.starts_with("warm_elites: must have shape [1, S, 3, 2] with S up to"), "{error}");
     let nan = elites.mapv(|_| f32::NAN);
-    let error = watched(&config, Some(WarmStart { elites: Some(nan.view()), ..warm }));
+    let error = watched(&config, Some(WarmStart { elites: Some(&nan), ..warm }));
     assert!(error.unwrap_err().to_string().starts_with("warm_elites: must be finite"));
 }
 
