@@ -117,7 +117,7 @@ impl<'a> Problem<'a> {
             (None, None) => Mixing::None,
         };
         draw(self.stream.in_iteration(iteration), iteration, samples, mixing, from, rows);
-        if iteration == 0 {
+        if iteration == 0 && !self.start.candidates.is_empty() {
             self.place_given(sampling.dimensions, samples, rows);
         }
     }
@@ -156,7 +156,7 @@ impl<'a> Problem<'a> {
             self.solution.candidate = elites[..sampling.dimensions].to_vec();
             self.solution.cost = elite_costs[0];
         }
-        if iteration == 0 {
+        if iteration == 0 && sampling.config.momentum > 0.0 {
             self.refitted = self.start.initial.moments();
         }
         self.refitted = self.refitted.refitted(sampling.config, &elites, &elite_costs);

@@ -377,3 +377,17 @@ fn options_over_time_are_checked() {
     named(MpcConfig { noise_beta: 1.0, cem, ..good() }, "noise_beta: must be 0 with covariance");
     named(MpcConfig { shift_elites: 41, ..good() }, "shift_elites: must be at most elites (40)");
 }
+
+#[test]
+fn the_short_method_is_the_plan_of_one_problem() {
+    let config = MpcConfig::default();
+    let (start, goal) = (Points(vec![[0.5, 0.0]]), Points(vec![[2.0, -1.0]]));
+    let world = PointMass::new();
+    let expected = solve(&config, &world, &start, &goal, &[stream(7, 0)], None, true).unwrap();
+    assert_eq!(config.plan(&world, &start, &goal, 7).unwrap(), expected[0]);
+    let two = Points(vec![[0.0; 2]; 2]);
+    let said = config.plan(&world, &two, &goal, 7).unwrap_err().to_string();
+    assert_eq!(said, "start: must be one frame, got 2");
+    let said = config.plan(&world, &start, &two, 7).unwrap_err().to_string();
+    assert_eq!(said, "goal: must be one frame, got 2");
+}
