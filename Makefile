@@ -43,8 +43,9 @@ demo: setup ## Reach goal images in the maze with the shipped models; writes pic
 
 test: test-rust test-python ## Build and run all tests (cargo and pytest)
 
-test-rust: ## (internal) cargo's tests
+test-rust: ## (internal) cargo's tests, those in the documentation and the example
 	cargo test --release --quiet -p hvf-core
+	cargo run --release --quiet -p hvf-core --example point_mass
 
 test-python: setup ## (internal) pytest
 	$(BIN)/python -m pytest $(PYTEST)
@@ -57,9 +58,10 @@ bench: setup ## Throughput of maze, costs and planner; ratios to numpy and torch
 
 lint: lint-rust lint-python ## Formatting, clippy, ruff, mypy, stub
 
-lint-rust: ## (internal) cargo fmt, clippy
+lint-rust: ## (internal) cargo fmt, clippy, rustdoc
 	cargo fmt --all --check
 	cargo clippy --release --all-targets --quiet -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --quiet -p hvf-core
 
 lint-python: setup ## (internal) ruff, mypy, stub against module
 	$(BIN)/ruff check .

@@ -18,12 +18,15 @@ from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.experiments.paper import (
     EXPERIMENTS,
     files,
+    markdown,
     paper,
     tables,
     verdict,
 )
 from hvf.experiments.parallel import finished, report_of, run_all
+from hvf.experiments.planners import VARIANTS
 from hvf.registry import METHODS
+from hvf_core import HVF, VisualMPC
 
 PAPER = Setup("maze")
 
@@ -159,6 +162,51 @@ def test_the_ablation_goes_from_our_settings_to_the_papers_one_at_a_time() -> No
     # What only a search of subgoals has is not run without one.
     assert [cells[0].evaluation is None for cells in table.rows.values()].count(True) == 4
     files([table, *tables(PAPER)], Path())
+
+
+def test_variants_of_the_search_have_one_budget_and_differ_by_what_their_row_says() -> None:
+    assert "planners" not in {table.name for table in tables(PAPER)}
+    (table,) = tables(Setup("maze", "default", split="validation"), ["planners"])
+    plain = [cell.evaluation for cell in table.rows["plain CEM"]]
+    assert [cell.baseline for cell in table.rows["plain CEM"]] == [None, None]
+    for name, cells in table.rows.items():
+        for cell, base in zip(cells, plain, strict=True):
+            if cell.evaluation is None:
+                # Without subgoals it does not matter how they are searched for.
+                assert all(option.startswith("subgoal_") for option in VARIANTS[name])
+                continue
+            assert base is not None
+            drawn = [sum(_samples(one.planning.mpc)) for one in (cell.evaluation, base)]
+            assert abs(drawn[0] - drawn[1]) <= 0.01 * drawn[1]
+            searched = [sum(_samples(one.planning.search(2))) for one in (cell.evaluation, base)]
+            assert searched[0] == searched[1]
+            changed = differences(cell.evaluation, base)
+            assert changed.items() <= VARIANTS[name].items()
+            assert cell.baseline in (None, base)
+    files([table, *tables(PAPER)], Path())
+
+
+def _samples(search: VisualMPC | HVF) -> list[int]:
+    least = min(search.samples, 2 * search.elites)
+    decayed = (search.samples / search.samples_decay**i for i in range(search.iterations))
+    return [max(int(samples), least) for samples in decayed]
+
+
+def test_rows_that_are_compared_with_each_other_say_by_how_much_they_differ() -> None:
+    (table,) = tables(Setup("maze", "default", split="validation"), ["planners"])
+    cells = [table.rows[name][0] for name in ("plain CEM", "coloured noise")]
+    reports = {
+        cell.evaluation: stub(cell.evaluation, successes, 100)
+        for cell, successes in zip(cells, (40, 60), strict=True)
+        if cell.evaluation is not None
+    }
+    text = markdown([table], reports, "maze")
+    (row,) = [line for line in text.splitlines() if line.startswith("| coloured noise |")]
+    # All of the plain one's successes are among the other's: 20 of 100 differ.
+    assert "60% [50, 69]; +20 [" in row
+    assert "p < 0.001" in row
+    assert "same episodes" in text
+    assert "the paper's number" not in text
 
 
 def test_evaluations_that_would_share_a_file_are_refused() -> None:

@@ -226,7 +226,7 @@ fn searches(_: &mut Criterion) {
         let ends = frames(draws.matrix(2, latent, 1.0).view());
         let (start, goal) = (ends.select(&[0]).unwrap(), ends.select(&[1]).unwrap());
         let generator = Spread(draws.matrix(8, latent, 0.6));
-        let config = HvfConfig { subgoals: 2, ..HvfConfig::default() };
+        let config = HvfConfig::default();
         let begun = Instant::now();
         search(&config, &world, &generator, &start, &goal, 7, Watch::nobody()).unwrap();
         println!(

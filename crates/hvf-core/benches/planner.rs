@@ -30,7 +30,8 @@ impl Objective for Free {
 fn cem_own_work(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("cem_own_work");
     group.sample_size(20);
-    let config = CemConfig { min_variance: 0.0, ..CemConfig::default() };
+    let mut config = CemConfig::default();
+    config.min_variance = 0.0;
     let costs = Array2::from_shape_fn((PROBLEMS, config.samples), |(problem, sample)| {
         ((problem * 7919 + sample * 104_729) % 100_003) as f32
     });
@@ -98,7 +99,7 @@ fn subgoal_search(criterion: &mut Criterion) {
         ("full_budget", full.clone()),
         (
             "full_budget_nothing_saved",
-            HvfConfig { prune: false, share_rollouts: false, ..full.clone() },
+            with(|config| (config.prune, config.share_rollouts) = (false, false)),
         ),
         ("m_100", with(|config| config.cem.samples = 100)),
         ("m_400", with(|config| config.cem.samples = 400)),

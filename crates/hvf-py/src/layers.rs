@@ -2,9 +2,9 @@
 
 use hvf_core_rs::image::OverHorizon;
 use hvf_core_rs::layers::{
-    Backdrop, Cell, CellWeights, Gallery, GalleryImages, LayerFrames, LayerWorld, Linear, Painter,
-    Sprites,
+    Backdrop, Cell, CellWeights, Gallery, GalleryImages, LayerFrames, LayerWorld, Painter, Sprites,
 };
+use hvf_core_rs::nn::Linear;
 use hvf_core_rs::planner::{Frames, WorldModel};
 use ndarray::{Ix2, Ix3, Ix4};
 use numpy::{

@@ -6,6 +6,7 @@ use ndarray::{Array1, Array2, Array4, Array5, ArrayD};
 
 use super::*;
 use crate::image::OverHorizon;
+use crate::nn::Linear;
 
 /// Size of images, sprites; parts that roam; places of the table and of the gallery.
 pub const SIZE: usize = 24;

@@ -78,3 +78,43 @@ fn corner(corner: &Option<Vec<f64>>) -> Option<Vec<u64>> {
 fn number(value: f64) -> u64 {
     (value + 0.0).to_bits()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+    use std::hash::{DefaultHasher, Hasher};
+
+    use super::*;
+
+    fn hashed(config: &impl Hash) -> u64 {
+        let mut state = DefaultHasher::new();
+        config.hash(&mut state);
+        state.finish()
+    }
+
+    #[test]
+    fn every_option_counts_and_both_zeros_are_one() {
+        let cem = |change: fn(&mut CemConfig)| {
+            let mut config = CemConfig::default();
+            change(&mut config);
+            hashed(&config)
+        };
+        let hashes = [
+            cem(|_| ()),
+            cem(|config| config.samples = 201),
+            cem(|config| config.elites = 39),
+            cem(|config| config.iterations = 4),
+            cem(|config| config.min_variance = 0.5),
+            cem(|config| config.keep_elites = 1),
+            cem(|config| config.best = super::super::BestOf::Last),
+            cem(|config| config.momentum = 0.5),
+            cem(|config| config.samples_decay = 2.0),
+            cem(|config| config.temperature = Some(0.5)),
+            cem(|config| config.min_std = 0.5),
+            cem(|config| config.covariance = Covariance::Full { shrinkage: 0.5 }),
+            cem(|config| config.covariance = Covariance::Full { shrinkage: 0.25 }),
+        ];
+        assert_eq!(HashSet::from(hashes).len(), hashes.len());
+        assert_eq!(cem(|config| config.momentum = -0.0), hashes[0]);
+    }
+}

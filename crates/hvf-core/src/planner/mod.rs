@@ -1,7 +1,7 @@
 //! Planning: the cross-entropy method, visual MPC and the subgoal search, generic over two traits.
 //!
 //! Bottom up: [`philox`] and [`sampler`] draw candidates from counters, [`cem`] optimises a batch
-//! of problems with them, [`mpc`] lets it choose actions for a [`WorldModel`], and [`search`] lets
+//! of problems with them, [`mpc`] lets it choose actions for a [`WorldModel`], and [`mod@search`] lets
 //! it choose the latents of a [`SubgoalModel`]'s images by what it costs to plan between them.
 
 pub mod cem;

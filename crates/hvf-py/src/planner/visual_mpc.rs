@@ -351,10 +351,9 @@ impl PyVisualMpc {
             .iter()
             .map(|&seed| Stream { seed, purpose: Purpose::Actions, problem: 0 })
             .collect();
-        let warm_start = last.as_ref().map(|LastPlans { actions, elites }| WarmStart {
-            actions: actions.view(),
-            elites: elites.as_ref().map(|elites| elites.view()),
-        });
+        let warm_start = last
+            .as_ref()
+            .map(|LastPlans { actions, elites }| WarmStart { actions, elites: elites.as_ref() });
         let solved = detached(py, || {
             let problems = Problems {
                 starts,

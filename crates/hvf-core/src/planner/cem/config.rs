@@ -16,8 +16,11 @@ pub enum BestOf {
     Last,
 }
 
-/// Budget of one optimisation.
+/// Budget and options of one optimisation.
+///
+/// More may come: outside this crate, change the fields of a [`default`](Self::default).
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct CemConfig {
     /// Candidates per iteration and problem, `D` (subgoal search: `M`).
     pub samples: usize,

@@ -112,8 +112,8 @@ proptest! {
             |a: usize, b: usize| average(&|row| deviation(row, a) * deviation(row, b));
         let m = config.momentum;
         let close = |found: f64, expected: f64| (found - expected).abs() < 1e-5 * (1.0 + expected.abs());
-        for a in 0..3 {
-            let expected = m * f64::from(before.mean[a]) + (1.0 - m) * mean[a];
+        for (a, &mean) in mean.iter().enumerate() {
+            let expected = m * f64::from(before.mean[a]) + (1.0 - m) * mean;
             prop_assert!(close(f64::from(found.mean[a]), expected));
             let blended = m * f64::from(before.std[a]) + (1.0 - m) * covariance(a, a).sqrt();
             prop_assert!(close(f64::from(found.std[a]), blended.max(config.min_std)));

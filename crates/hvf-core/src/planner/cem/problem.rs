@@ -11,6 +11,7 @@ use crate::planner::sampler::Stream;
 
 /// How one problem stood after one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct IterationStats {
     /// Lowest cost among the elites.
     pub best: f32,
@@ -26,6 +27,7 @@ pub struct IterationStats {
 
 /// What the optimisation found for one problem.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Solution {
     /// Best candidate of the iterations that [`CemConfig::best`] says, `[N]`; among equals, the
     /// earliest.
@@ -115,7 +117,7 @@ impl<'a> Problem<'a> {
             (None, None) => Mixing::None,
         };
         draw(self.stream.in_iteration(iteration), iteration, samples, mixing, from, rows);
-        if iteration == 0 {
+        if iteration == 0 && !self.start.candidates.is_empty() {
             self.place_given(sampling.dimensions, samples, rows);
         }
     }
@@ -154,7 +156,7 @@ impl<'a> Problem<'a> {
             self.solution.candidate = elites[..sampling.dimensions].to_vec();
             self.solution.cost = elite_costs[0];
         }
-        if iteration == 0 {
+        if iteration == 0 && sampling.config.momentum > 0.0 {
             self.refitted = self.start.initial.moments();
         }
         self.refitted = self.refitted.refitted(sampling.config, &elites, &elite_costs);

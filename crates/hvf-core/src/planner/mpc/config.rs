@@ -2,11 +2,12 @@
 
 use ndarray::ArrayView2;
 
+use super::{check_single, plan, Plan, Problems};
 use crate::planner::cem::distribution::{Bounds, Initial, Space};
 use crate::planner::cem::noise::Coloured;
 use crate::planner::cem::{CemConfig, Covariance};
-use crate::planner::model::ActionSpace;
-use crate::planner::sampler::LONGEST_NORMAL;
+use crate::planner::model::{ActionSpace, WorldModel};
+use crate::planner::sampler::{Purpose, Stream, LONGEST_NORMAL};
 use crate::{Error, Result};
 
 /// Distribution of the first iteration's actions, the same in every time step.
@@ -31,6 +32,7 @@ pub enum ActionInitial {
 
 /// Settings of visual MPC.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct MpcConfig {
     /// Model steps that a plan looks ahead, `H`.
     pub horizon: usize,
@@ -136,6 +138,31 @@ impl MpcConfig {
             }
         }
         Ok(())
+    }
+
+    /// The best actions found from `start[1]` to `goal[1]`: [`plan`](super::plan) of one problem,
+    /// from no earlier plan and with nobody watching.
+    ///
+    /// # Errors
+    /// As [`plan`](super::plan), and frames that are not single.
+    pub fn plan<W: WorldModel>(
+        &self,
+        world: &W,
+        start: &W::Frames,
+        goal: &W::Frames,
+        seed: u64,
+    ) -> Result<Plan> {
+        check_single(start, goal)?;
+        let problems = Problems {
+            starts: start,
+            goals: goal,
+            streams: &[Stream { seed, purpose: Purpose::Actions, problem: 0 }],
+            warm_start: None,
+            share_rollouts: false,
+            describe: &|_| "the plan".into(),
+        };
+        let plans = plan(self, world, &problems, &|| Ok(()))?;
+        Ok(plans.into_iter().next().expect("one problem, one plan"))
     }
 
     /// Actions drawn per candidate.

@@ -12,6 +12,7 @@ use super::cem::{minimise, IterationStats, Solution};
 use super::model::{ActionSpace, Frames, WorldModel};
 use crate::{Error, Result};
 use problems::check_problems;
+pub(super) use problems::check_single;
 use rollouts::{hold, Rollouts};
 
 pub use config::{ActionInitial, MpcConfig};
@@ -21,6 +22,7 @@ pub use problems::{Problems, WarmStart};
 pub type Interrupt<'a> = &'a dyn Fn() -> Result<()>;
 /// The best actions found for one problem.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Plan {
     /// Actions, `[H, A]`.
     pub actions: Array2<f32>,
@@ -33,7 +35,7 @@ pub struct Plan {
     pub history: Vec<IterationStats>,
 }
 /// Plans for every problem: the candidate with the lowest predicted cost of all iterations, or of
-/// the last one ([`CemConfig::best`]).
+/// the last one ([`CemConfig::best`](super::CemConfig::best)).
 ///
 /// # Errors
 /// A setting out of range, batches of different sizes, an error of the model, batches of other

@@ -1,6 +1,6 @@
 //! A batch of planning problems, and what has to hold of it.
 
-use ndarray::{ArrayView3, ArrayView4};
+use ndarray::{Array3, Array4};
 
 use super::MpcConfig;
 use crate::planner::cem::MAX_VALUES;
@@ -12,14 +12,14 @@ use crate::{Error, Result};
 #[derive(Clone, Copy, Debug)]
 pub struct WarmStart<'a> {
     /// Actions, `[B, H, A]`.
-    pub actions: ArrayView3<'a, f32>,
+    pub actions: &'a Array3<f32>,
     /// The best candidates of each plan ([`Plan::elites`](super::Plan::elites)), `[B, S, H, A]`,
     /// at most [`MpcConfig::shift_elites`] of them.
-    pub elites: Option<ArrayView4<'a, f32>>,
+    pub elites: Option<&'a Array4<f32>>,
 }
 
-impl<'a> From<ArrayView3<'a, f32>> for WarmStart<'a> {
-    fn from(actions: ArrayView3<'a, f32>) -> Self {
+impl<'a> From<&'a Array3<f32>> for WarmStart<'a> {
+    fn from(actions: &'a Array3<f32>) -> Self {
         Self { actions, elites: None }
     }
 }
@@ -38,6 +38,19 @@ pub struct Problems<'a, F> {
     pub share_rollouts: bool,
     /// What to call a problem in an error.
     pub describe: &'a dyn Fn(usize) -> String,
+}
+
+/// Refuses a start or goal that is not one frame.
+pub(in crate::planner) fn check_single<F: Frames>(start: &F, goal: &F) -> Result<()> {
+    for (argument, frames) in [("start", start), ("goal", goal)] {
+        if frames.len() != 1 {
+            return Err(Error::invalid(
+                argument,
+                format!("must be one frame, got {}", frames.len()),
+            ));
+        }
+    }
+    Ok(())
 }
 
 pub(super) fn check_problems<F: Frames>(

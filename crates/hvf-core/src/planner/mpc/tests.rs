@@ -23,7 +23,7 @@ fn solve(
     warm_start: Option<&Array3<f32>>,
     share_rollouts: bool,
 ) -> Result<Vec<Plan>> {
-    let warm_start = warm_start.map(|plans| plans.view().into());
+    let warm_start = warm_start.map(WarmStart::from);
     let describe = |problem: usize| format!("problem {problem}");
     let problems =
         Problems { starts, goals, streams, warm_start, share_rollouts, describe: &describe };
@@ -276,7 +276,7 @@ fn watched(config: &MpcConfig, warm_start: Option<WarmStart<'_>>) -> Result<(Pla
         starts: &starts,
         goals: &goals,
         streams: &[stream(4, 0)],
-        warm_start: warm_start.map(|WarmStart { actions, elites }| WarmStart { actions, elites }),
+        warm_start,
         share_rollouts: true,
         describe: &|problem| format!("problem {problem}"),
     };
@@ -331,21 +331,21 @@ fn a_warm_start_begins_with_the_shifted_elites() {
     let [actions, elites] = [before.actions.clone().into_dyn(), before.elites.clone().into_dyn()];
     let actions = actions.insert_axis(Axis(0)).into_dimensionality().unwrap();
     let elites = elites.insert_axis(Axis(0)).into_dimensionality().unwrap();
-    let warm = WarmStart { actions: actions.view(), elites: Some(elites.view()) };
+    let warm = WarmStart { actions: &actions, elites: Some(&elites) };
     let (with, seen) = watched(&config, Some(warm)).unwrap();
     for (elite, candidate) in before.elites.outer_iter().zip(seen.chunks(6)) {
         let steps: Vec<f32> = [1, 2, 2].iter().flat_map(|&step| elite.row(step).to_vec()).collect();
         assert_eq!(candidate, steps);
     }
     // The others are drawn as without.
-    let (without, plain) = watched(&config, Some(WarmStart::from(actions.view()))).unwrap();
+    let (without, plain) = watched(&config, Some(WarmStart::from(&actions))).unwrap();
     assert_eq!(seen[12..200 * 6], plain[12..200 * 6]);
     assert_eq!(with.elites.dim(), without.elites.dim());
     let fewer = MpcConfig { shift_elites: 1, ..config.clone() };
     let error = watched(&fewer, Some(warm)).unwrap_err().to_string();
     assert!(error.starts_with("warm_elites: must have shape [1, S, 3, 2] with S up to"), "{error}");
     let nan = elites.mapv(|_| f32::NAN);
-    let error = watched(&config, Some(WarmStart { elites: Some(nan.view()), ..warm }));
+    let error = watched(&config, Some(WarmStart { elites: Some(&nan), ..warm }));
     assert!(error.unwrap_err().to_string().starts_with("warm_elites: must be finite"));
 }
 
@@ -376,4 +376,18 @@ fn options_over_time_are_checked() {
     let cem = CemConfig { covariance, ..CemConfig::default() };
     named(MpcConfig { noise_beta: 1.0, cem, ..good() }, "noise_beta: must be 0 with covariance");
     named(MpcConfig { shift_elites: 41, ..good() }, "shift_elites: must be at most elites (40)");
+}
+
+#[test]
+fn the_short_method_is_the_plan_of_one_problem() {
+    let config = MpcConfig::default();
+    let (start, goal) = (Points(vec![[0.5, 0.0]]), Points(vec![[2.0, -1.0]]));
+    let world = PointMass::new();
+    let expected = solve(&config, &world, &start, &goal, &[stream(7, 0)], None, true).unwrap();
+    assert_eq!(config.plan(&world, &start, &goal, 7).unwrap(), expected[0]);
+    let two = Points(vec![[0.0; 2]; 2]);
+    let said = config.plan(&world, &two, &goal, 7).unwrap_err().to_string();
+    assert_eq!(said, "start: must be one frame, got 2");
+    let said = config.plan(&world, &start, &two, 7).unwrap_err().to_string();
+    assert_eq!(said, "goal: must be one frame, got 2");
 }

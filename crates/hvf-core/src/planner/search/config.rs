@@ -1,6 +1,8 @@
 //! Settings of the search for subgoals.
 
+use super::{search, SearchResult, Watch};
 use crate::planner::cem::CemConfig;
+use crate::planner::model::{SubgoalModel, WorldModel};
 use crate::planner::mpc::MpcConfig;
 use crate::{Error, Result};
 
@@ -43,6 +45,7 @@ pub enum SegmentCost {
 
 /// Settings of the search.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct HvfConfig {
     /// How a segment is planned.
     pub mpc: MpcConfig,
@@ -90,5 +93,20 @@ impl HvfConfig {
             ));
         }
         self.mpc.validate()
+    }
+
+    /// Subgoals between `start[1]` and `goal[1]`: [`search`](super::search) with nobody watching.
+    ///
+    /// # Errors
+    /// As [`search`](super::search).
+    pub fn search<W: WorldModel, G: SubgoalModel<W::Frames>>(
+        &self,
+        world: &W,
+        generator: &G,
+        start: &W::Frames,
+        goal: &W::Frames,
+        seed: u64,
+    ) -> Result<SearchResult<W::Frames>> {
+        search(self, world, generator, start, goal, seed, Watch::nobody())
     }
 }

@@ -20,7 +20,7 @@ use ndarray::{Array2, Array3, Axis};
 use super::cem::distribution::{Bounds, Initial, Space, Start};
 use super::cem::{minimise, IterationStats, Solution};
 use super::model::{Frames, SubgoalModel, WorldModel};
-use super::mpc::{plan, Interrupt, Plan, Problems};
+use super::mpc::{check_single, plan, Interrupt, Plan, Problems};
 use super::sampler::{Purpose, Stream, MAX_DIMENSIONS};
 use crate::{Error, Result};
 use likelihood::Likelihoods;
@@ -31,6 +31,7 @@ pub use watch::{Progress, Watch};
 
 /// How the search stood after one iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SearchStats {
     /// Costs over the samples; the population is those that were completed.
     pub costs: IterationStats,
@@ -42,6 +43,7 @@ pub struct SearchStats {
 
 /// What the search found.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct SearchResult<F> {
     /// Subgoals in the order to reach them, `[K]`.
     pub subgoals: F,
@@ -75,14 +77,7 @@ where
     G: SubgoalModel<W::Frames>,
 {
     config.validate()?;
-    for (argument, frames) in [("start", start), ("goal", goal)] {
-        if frames.len() != 1 {
-            return Err(Error::invalid(
-                argument,
-                format!("must be one frame, got {}", frames.len()),
-            ));
-        }
-    }
+    check_single(start, goal)?;
     if config.subgoals == 0 {
         return plan_directly(config, world, start, goal, seed, watch.interrupt);
     }

@@ -355,3 +355,11 @@ fn options_of_the_search_change_nothing_about_its_savings() {
         assert_same(&run(&config, 1), &run(&plain, 1));
     }
 }
+
+#[test]
+fn the_short_method_is_the_search_that_nobody_watches() {
+    let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
+    let config = small(2);
+    let found = config.search(&PointMass::new(), &Positions::new(), &start, &goal, 4).unwrap();
+    assert_same(&found, &run(&config, 4));
+}

@@ -6,6 +6,7 @@ use crate::Result;
 
 /// How a search stands after an iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Progress {
     /// Iterations that are done.
     pub iteration: usize,
