@@ -94,18 +94,15 @@ def test_the_desk_has_every_task_and_the_numbers_of_the_papers_text() -> None:
     assert all(row == [None] * 4 for row in published.values())
 
 
-def test_objectives_at_the_desk_differ_in_what_a_sample_costs_and_in_its_budget_only() -> None:
-    (table,) = tables(Setup("desk", "default", split="validation"), ["objective"])
-    about_samples = {
-        "segment_cost", "reduction", "subgoal_samples", "subgoal_elites", "subgoal_iterations"
-    }  # fmt: skip
+def test_choices_at_the_desk_differ_in_what_counts_only() -> None:
+    (table,) = tables(Setup("desk", "default", split="validation"), ["choices"])
     for column, task in enumerate(("two_block", "door_block", "door_two_block")):
         cells = [row[column].evaluation for row in table.rows.values()]
-        assert len(set(cells)) == len(cells) == 6
+        assert len(set(cells)) == len(cells) == 7
         default = Evaluation.of("desk", task=task, subgoals=2 if task == "door_two_block" else 1)
         assert default in cells
         for cell in cells:
-            assert differences(cell, default).keys() <= about_samples
+            assert differences(cell, default).keys() <= {"scene_weight", "reduction"}
 
 
 @pytest.mark.parametrize("preset", ["paper", "released", "default"])

@@ -1,4 +1,4 @@
-"""The desk's figure in Nair & Finn (ICLR 2020), and what our search for subgoals goes by."""
+"""The desk's figure in Nair & Finn (ICLR 2020), and what acting and search go by here."""
 
 from __future__ import annotations
 
@@ -7,49 +7,42 @@ from typing import Any
 
 from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.experiments.methods import methods
-from hvf.registry import METHODS
 
 _CHOSEN = {"two_block": 1, "door_block": 1, "door_two_block": 2}
 """Subgoals of each task with more than the door to it, chosen on validation."""
 
-_PLANNED: Mapping[str, Any] = {
-    "segment_cost": "planned",
-    "subgoal_samples": 50,
-    "subgoal_elites": 10,
-    "subgoal_iterations": 2,
-}
-"""Planning every segment takes about ten times as long with so many samples as likelihood does."""
+_NO_SCENE: Mapping[str, Any] = {"scene_weight": 0.0}
 
-_OBJECTIVES: Mapping[str, Mapping[str, Any]] = {
-    "likelihood, maximum (default)": {},
-    "likelihood, mean": {"reduction": "mean"},
-    "planned pixels, maximum (the paper's)": _PLANNED,
-    "planned pixels, mean": {**_PLANNED, "reduction": "mean"},
+_CHOICES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "no subgoals": ("none", {}),
+    "HVF": ("hvf", {}),
+    "true subgoals": ("ground-truth", {}),
+    "no subgoals, whole images alone": ("none", _NO_SCENE),
+    "HVF, whole images alone": ("hvf", _NO_SCENE),
+    "true subgoals, whole images alone": ("ground-truth", _NO_SCENE),
+    "HVF, whole images alone, mean of segments": ("hvf", {**_NO_SCENE, "reduction": "mean"}),
 }
 
 
 def desk(setup: Setup) -> list[PaperTable]:
     """The desk's tables."""
-    return [methods(setup, "Methods by task"), _objectives(setup)]
+    return [methods(setup, "Methods by task"), _choices(setup)]
 
 
-def _objectives(setup: Setup) -> PaperTable:
-    """What a segment costs in the search for subgoals, and how segments are reduced to a sample."""
-
-    def cells(method: str, settings: Mapping[str, Any]) -> tuple[Cell, ...]:
-        return tuple(
+def _choices(setup: Setup) -> PaperTable:
+    """What a frame costs in acting, and how segments are reduced in the search."""
+    rows = {
+        name: tuple(
             Cell(setup.evaluation(method, 0 if method == "none" else count, task=task, **settings))
             for task, count in _CHOSEN.items()
         )
-
-    rows = {METHODS["none"].label(0): cells("none", {})}
-    rows |= {name: cells("hvf", settings) for name, settings in _OBJECTIVES.items()}
-    rows["true subgoals"] = cells("ground-truth", {})
+        for name, (method, settings) in _CHOICES.items()
+    }
     return PaperTable(
-        "objective",
-        "What a sample of subgoals costs",
-        "cost",
-        tuple(f"{task}, {METHODS['hvf'].label(count)}" for task, count in _CHOSEN.items()),
+        "choices",
+        "What counts, in acting and in the search for subgoals",
+        "choice",
+        tuple(f"{task}, K = {count}" for task, count in _CHOSEN.items()),
         rows,
         extra=True,
     )
