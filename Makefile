@@ -43,8 +43,9 @@ demo: setup ## Reach goal images in the maze with the shipped models; writes pic
 
 test: test-rust test-python ## Build and run all tests (cargo and pytest)
 
-test-rust: ## (internal) cargo's tests
+test-rust: ## (internal) cargo's tests, those in the documentation and the example
 	cargo test --release --quiet -p hvf-core
+	cargo run --release --quiet -p hvf-core --example point_mass
 
 test-python: setup ## (internal) pytest
 	$(BIN)/python -m pytest $(PYTEST)
@@ -52,15 +53,15 @@ test-python: setup ## (internal) pytest
 quick: setup ## Build and run the tests in Python that do not take long
 	$(BIN)/python -m pytest $(PYTEST) -m "not slow"
 
-bench: setup ## Throughput of maze, costs and planner; ratios to numpy and torch
-	cargo bench -p hvf-core
-	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+bench: setup ## Throughput of maze, costs and planner; ratios to numpy and torch; a JSON of it all
+	$(BIN)/python benchmarks/run.py --out $(OUT)/bench.json
 
 lint: lint-rust lint-python ## Formatting, clippy, ruff, mypy, stub
 
-lint-rust: ## (internal) cargo fmt, clippy
+lint-rust: ## (internal) cargo fmt, clippy, rustdoc
 	cargo fmt --all --check
 	cargo clippy --release --all-targets --quiet -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --quiet -p hvf-core
 
 lint-python: setup ## (internal) ruff, mypy, stub against module
 	$(BIN)/ruff check .

@@ -9,6 +9,7 @@ measured in the same run.
 
 from __future__ import annotations
 
+import json
 import statistics
 import threading
 import time
@@ -144,6 +145,7 @@ def main() -> None:
             },
         ),
     ]
+    found: dict[str, dict[str, float]] = {"read": {"per_second": bandwidth}}
     table = Table(title=f"read bandwidth {bandwidth / 1e9:.1f} GB/s")
     for column in ("case", "what", "ms", "hvf is faster by", "GB/s", "of read"):
         table.add_column(column, justify="left" if column in ("case", "what") else "right")
@@ -151,6 +153,7 @@ def main() -> None:
         times = medians(calls)
         if "Gram" in "".join(calls):
             times["numpy"] *= ALL / 4  # Four rows were timed.
+        found[case] = times
         for name, taken in times.items():
             table.add_row(
                 case if name == "hvf" else "",
@@ -162,6 +165,7 @@ def main() -> None:
             )
         table.add_section()
     Console(width=100).print(table)
+    print(json.dumps(found))
 
 
 if __name__ == "__main__":

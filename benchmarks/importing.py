@@ -9,6 +9,7 @@ written twice (parts, and the whole).
 
 from __future__ import annotations
 
+import json
 import sys
 import tempfile
 import time
@@ -27,6 +28,17 @@ DISTINCT, COUNT, ROUNDS = 8, 64, 7
 
 def main() -> None:
     """Print a table."""
+    found: dict[str, dict[str, float]] = {}
+
+    def tell(what: str, work: Callable[[], object]) -> None:
+        took = []
+        for _ in range(ROUNDS):
+            begin = time.process_time()
+            work()
+            took.append(time.process_time() - begin)
+        found[what] = {"per_processor_second": COUNT / min(took)}
+        print(f"{what:32} {COUNT / min(took):6.0f} sequences a core second", flush=True)
+
     some = [recordings.bair_record(recordings.bair_episode(seed)) for seed in range(DISTINCT)]
     console = Console(quiet=True)
     with tempfile.TemporaryDirectory() as name:
@@ -42,16 +54,7 @@ def main() -> None:
                 out = folder / "out.h5"
                 config = BairImport(path=file, out=out, cameras=cameras, size=size, overwrite=True)
                 tell(f"imported, {seen}, {size or '64x64'}", lambda c=config: c.run(console))
-
-
-def tell(what: str, work: Callable[[], object]) -> None:
-    """Print a line."""
-    took = []
-    for _ in range(ROUNDS):
-        begin = time.process_time()
-        work()
-        took.append(time.process_time() - begin)
-    print(f"{what:32} {COUNT / min(took):6.0f} sequences a core second", flush=True)
+    print(json.dumps(found))
 
 
 if __name__ == "__main__":

@@ -325,11 +325,24 @@ PLANNERS = [
         keep_elites=2,
         best="last",
     ),
+    VisualMPC(
+        horizon=3,
+        samples=6,
+        elites=2,
+        iterations=3,
+        noise_beta=2,
+        shift_elites=2,
+        samples_decay=1.5,
+        temperature=0.1,
+        momentum=0.1,
+        min_std=0.01,
+    ),
 ]
 SEARCHES = [
     HVF(mpc=PLANNERS[0], subgoals=0),
     HVF(mpc=PLANNERS[0], subgoals=1, samples=4, elites=2, iterations=2),
     HVF(mpc=PLANNERS[1], subgoals=2, samples=3, elites=1, iterations=1, reduction="mean"),
+    HVF(mpc=PLANNERS[2], subgoals=2, samples=4, elites=3, iterations=2, covariance="full"),
 ]
 
 
@@ -391,8 +404,16 @@ def constructor(draw: Draw) -> Call:
         "min_variance": FLOATS,
         "keep_elites": SETTINGS,
         "best": st.sampled_from(["all", "last"]),
+        "momentum": FLOATS,
+        "samples_decay": FLOATS,
+        "temperature": FLOATS,
+        "min_std": FLOATS,
+        "covariance": st.sampled_from(["diagonal", "full"]),
+        "shrinkage": FLOATS,
     }
     mpc = {
+        "noise_beta": FLOATS,
+        "shift_elites": SETTINGS,
         "action_repeat": SETTINGS,
         "initial": st.sampled_from(["uniform", "normal"]),
         "initial_low": arrays(),

@@ -470,7 +470,7 @@ def test_the_demo_tells_of_every_episode_and_draws_some(
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"episode-0.png", "episode-0.gif", "ground-truth.json", "none.json"}
     said = " ".join(capsys.readouterr().out.split())
-    for method in ("ground truth-1", "no subgoals"):
+    for method in ("ground truth-2", "no subgoals"):
         for episode in range(2):
             assert f"desk door: {method}, simulator, episode {episode}: goal " in said
     for name in ("ground-truth", "none"):
@@ -489,9 +489,9 @@ def test_the_demo_searches_and_acts_with_the_shipped_models(
     assert main([*words, *small.split()]) == 0
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"episode-0.png", "episode-0.gif", "hvf.json", "none.json"}
-    assert "HVF-1" in capsys.readouterr().out
+    assert "HVF-2" in capsys.readouterr().out
     searched, straight = (load(tmp_path / f"{name}.json") for name in ("hvf", "none"))
-    assert searched.task == straight.task == "door"
+    assert searched.task == straight.task == "door_two_block"
     assert searched.weights.keys() == {"dynamics", "generator"}
     assert straight.weights.keys() == {"dynamics"}
 

@@ -140,6 +140,33 @@ def test_costs_are_those_of_frames_that_torch_draws(
         np.testing.assert_allclose(found[b], reduce[over_horizon](costs), rtol=1e-3)
 
 
+def test_what_is_behind_the_arm_counts_where_the_goal_shows_it(dynamics: LayerDynamics) -> None:
+    rng, weight = np.random.default_rng(10), 2.5
+    clean = rng.uniform(-0.05, 1.05, (2, SIZE, SIZE, 3)).astype(np.float32)
+    hidden = rng.random((2, SIZE, SIZE, 1)) < 0.3
+    images = np.rint(clean.clip(0, 1) * 255).astype(np.uint8)
+    images = np.where(hidden, images ^ 128, images)
+    regions = rng.random((2, PARTS, SIZE, SIZE)) < 0.1
+    states = random_states(2, seed=10)
+    actions = actions_of((1, 30, 2, ACTION), seed=11)
+    costs = []
+    for world in (LayerWorld(dynamics), LayerWorld(dynamics, scene_weight=weight)):
+        frames = world.native.frames(images, clean, regions, states)
+        costs.append(world.rollout_costs(frames[np.array([0])], frames[np.array([1])], actions)[0])
+    ends = torch.from_numpy(torch_rollout(dynamics, states[0], actions[0])[:, -1])
+    with torch.inference_mode():
+        scene = Scene(
+            torch.from_numpy(clean[:1]).permute(0, 3, 1, 2),
+            torch.from_numpy(regions[:1]),
+            torch.from_numpy(states[:1]),
+        )
+        drawn = dynamics.perception.change(scene, ends).image.permute(0, 2, 3, 1).numpy()
+    apart = (drawn.clip(0, 1) - clean[1].clip(0, 1)) * ~hidden[1]
+    extra = (apart.astype(np.float64) ** 2).sum(axis=3).mean(axis=(1, 2))
+    np.testing.assert_allclose(costs[1] - costs[0], weight * extra, rtol=2e-3)
+    assert extra.std() > 0
+
+
 @pytest.mark.parametrize("blur", [0.0, 1.5])
 @pytest.mark.parametrize("over_horizon", ["last", "min"])
 def test_shared_rollouts_cost_the_same_to_the_last_bit(

@@ -38,7 +38,7 @@ from hvf.evaluation.report import HEAD, Report, load, save
 from hvf.evaluation.run import evaluate, evaluate_task
 from hvf.evaluation.statistics import wilson_interval
 from hvf.registry import DOMAINS, METHODS
-from hvf.settings import World
+from hvf.settings import Planning, World
 
 CHEAP: dict[str, Any] = {
     "samples": 30,
@@ -482,6 +482,17 @@ def test_reports_keep_their_numbers(tmp_path: Path) -> None:
     assert report.search_seconds == pytest.approx(0.1)
     # Weighted by steps: a trial of chunk 0 decided in 0.05 s, one of chunk 1 in 0.1 s.
     assert report.step_seconds == pytest.approx((0.05 * 6 + 0.1 * 9) / 15)
+
+
+def test_a_setting_that_a_report_is_older_than_was_its_default(tmp_path: Path) -> None:
+    out = tmp_path / "report.json"
+    chance = Evaluation.of("maze", method="random")
+    report = evaluate(chance, 1, out=out, console=QUIET)
+    content = json.loads(out.read_text())
+    for name in ("segment_cost", "choose_anew"):
+        assert content["planning"].pop(name) == getattr(Planning(), name)
+    out.write_text(json.dumps(content))
+    assert load(out).head == report.head
 
 
 # ---- which code ran ----------------------------------------------------------------------------

@@ -18,12 +18,15 @@ from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.experiments.paper import (
     EXPERIMENTS,
     files,
+    markdown,
     paper,
     tables,
     verdict,
 )
 from hvf.experiments.parallel import finished, report_of, run_all
+from hvf.experiments.planners import VARIANTS
 from hvf.registry import METHODS
+from hvf_core import HVF, VisualMPC
 
 PAPER = Setup("maze")
 
@@ -52,6 +55,18 @@ def stub(evaluation: Evaluation, successes: int, trials: int) -> Report:
     return Report.of(evaluation.name, head, records, 1.0, {"commit": "c0ffee", "changes": None})
 
 
+def settings(evaluation: Evaluation | None) -> dict[str, object]:
+    """Of planning, and what draws subgoals."""
+    assert evaluation is not None
+    world = evaluation.place.resolved(evaluation.world)
+    return {**vars(evaluation.planning), "generator": world.generator}
+
+
+def differences(one: Evaluation | None, other: Evaluation) -> dict[str, object]:
+    """Settings of the first that the other does not have."""
+    return {k: v for k, v in settings(one).items() if v != settings(other)[k]}
+
+
 def test_every_maze_table_of_the_paper_is_there() -> None:
     found = {table.name: table for table in tables(PAPER)}
     assert set(found) == {"methods", "subgoals", "reduction", "samples", "horizon", "cost"}
@@ -69,14 +84,25 @@ def test_every_maze_table_of_the_paper_is_there() -> None:
     assert [row[2] for row in published["methods"][1:3]] == [0.47, 0.54]
 
 
-def test_numbers_shared_with_the_domain_are_the_same() -> None:
-    for table in tables(PAPER):
-        for cell in [cell for row in table.rows.values() for cell in row]:
-            evaluation = cell.evaluation
-            assert evaluation is not None
-            if table.name == "methods":
-                known = evaluation.place.published.get((evaluation.method, evaluation.subgoals), {})
-                assert known.get(evaluation.task) == cell.published
+def test_the_desk_has_every_task_and_the_numbers_of_the_papers_text() -> None:
+    (table,) = tables(Setup("desk"))
+    assert table.columns == ("door", "two_block", "door_block", "door_two_block")
+    published = {name: [cell.published for cell in row] for name, row in table.rows.items()}
+    assert published.pop("no subgoals") == [None, None, None, 0.15]
+    assert published.pop("HVF-1") == [None, None, None, 0.15]
+    assert published.pop("HVF-2") == [None, None, None, 0.42]
+    assert all(row == [None] * 4 for row in published.values())
+
+
+def test_choices_at_the_desk_differ_in_what_counts_only() -> None:
+    (table,) = tables(Setup("desk", "default", split="validation"), ["choices"])
+    for column, task in enumerate(("two_block", "door_block", "door_two_block")):
+        cells = [row[column].evaluation for row in table.rows.values()]
+        assert len(set(cells)) == len(cells) == 7
+        default = Evaluation.of("desk", task=task, subgoals=2 if task == "door_two_block" else 1)
+        assert default in cells
+        for cell in cells:
+            assert differences(cell, default).keys() <= {"scene_weight", "reduction"}
 
 
 @pytest.mark.parametrize("preset", ["paper", "released", "default"])
@@ -123,14 +149,6 @@ def test_the_ablation_goes_from_our_settings_to_the_papers_one_at_a_time() -> No
     searched = {name: cells[1].evaluation for name, cells in table.rows.items()}
     assert (searched.pop("default"), searched.pop("paper")) == (ours, published)
 
-    def settings(evaluation: Evaluation | None) -> dict[str, object]:
-        assert evaluation is not None
-        world = evaluation.place.resolved(evaluation.world)
-        return {**vars(evaluation.planning), "generator": world.generator}
-
-    def differences(one: Evaluation | None, other: Evaluation) -> dict[str, object]:
-        return {k: v for k, v in settings(one).items() if v != settings(other)[k]}
-
     one_by_one = {"default": {}, "paper": {}}
     for name, evaluation in searched.items():
         start = name.split(",")[0].split(" ")[0]
@@ -141,6 +159,51 @@ def test_the_ablation_goes_from_our_settings_to_the_papers_one_at_a_time() -> No
     # What only a search of subgoals has is not run without one.
     assert [cells[0].evaluation is None for cells in table.rows.values()].count(True) == 4
     files([table, *tables(PAPER)], Path())
+
+
+def test_variants_of_the_search_have_one_budget_and_differ_by_what_their_row_says() -> None:
+    assert "planners" not in {table.name for table in tables(PAPER)}
+    (table,) = tables(Setup("maze", "default", split="validation"), ["planners"])
+    plain = [cell.evaluation for cell in table.rows["plain CEM"]]
+    assert [cell.baseline for cell in table.rows["plain CEM"]] == [None, None]
+    for name, cells in table.rows.items():
+        for cell, base in zip(cells, plain, strict=True):
+            if cell.evaluation is None:
+                # Without subgoals it does not matter how they are searched for.
+                assert all(option.startswith("subgoal_") for option in VARIANTS[name])
+                continue
+            assert base is not None
+            drawn = [sum(_samples(one.planning.mpc)) for one in (cell.evaluation, base)]
+            assert abs(drawn[0] - drawn[1]) <= 0.01 * drawn[1]
+            searched = [sum(_samples(one.planning.search(2))) for one in (cell.evaluation, base)]
+            assert searched[0] == searched[1]
+            changed = differences(cell.evaluation, base)
+            assert changed.items() <= VARIANTS[name].items()
+            assert cell.baseline in (None, base)
+    files([table, *tables(PAPER)], Path())
+
+
+def _samples(search: VisualMPC | HVF) -> list[int]:
+    least = min(search.samples, 2 * search.elites)
+    decayed = (search.samples / search.samples_decay**i for i in range(search.iterations))
+    return [max(int(samples), least) for samples in decayed]
+
+
+def test_rows_that_are_compared_with_each_other_say_by_how_much_they_differ() -> None:
+    (table,) = tables(Setup("maze", "default", split="validation"), ["planners"])
+    cells = [table.rows[name][0] for name in ("plain CEM", "coloured noise")]
+    reports = {
+        cell.evaluation: stub(cell.evaluation, successes, 100)
+        for cell, successes in zip(cells, (40, 60), strict=True)
+        if cell.evaluation is not None
+    }
+    text = markdown([table], reports, "maze")
+    (row,) = [line for line in text.splitlines() if line.startswith("| coloured noise |")]
+    # All of the plain one's successes are among the other's: 20 of 100 differ.
+    assert "60% [50, 69]; +20 [" in row
+    assert "p < 0.001" in row
+    assert "same episodes" in text
+    assert "the paper's number" not in text
 
 
 def test_evaluations_that_would_share_a_file_are_refused() -> None:

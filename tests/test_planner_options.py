@@ -161,6 +161,11 @@ controllers = st.one_of(
         initial_low=st.one_of(st.none(), st.lists(numbers, min_size=1, max_size=2)),
         clip=st.booleans(),
         best=st.sampled_from(["all", "last"]),
+        momentum=numbers,
+        temperature=st.sampled_from([None, 0.5]),
+        min_std=numbers,
+        noise_beta=numbers,
+        shift_elites=st.integers(0, 1),
     ),
     st.builds(VisualMPC, initial=st.just("normal"), initial_mean=numbers),
 )
@@ -172,6 +177,9 @@ planners = st.one_of(
         subgoals=st.integers(0, 1),
         reduction=st.sampled_from(["max", "mean"]),
         prune=st.booleans(),
+        covariance=st.sampled_from(["diagonal", "full"]),
+        shrinkage=st.sampled_from([0.1, 0.25]),
+        samples_decay=st.sampled_from([1.0, 2.0]),
         best=st.sampled_from(["all", "last"]),
     ),
 )
@@ -186,6 +194,16 @@ def test_equal_planners_have_equal_hashes_and_survive_copies(a: Any, b: Any) -> 
         assert again == a
         assert hash(again) == hash(a)
     assert {a: 1}[a] == 1
+
+
+BUDGET_OPTIONS: list[dict[str, Any]] = [
+    {"momentum": 0.5},
+    {"samples_decay": 1.25},
+    {"temperature": 0.5},
+    {"min_std": 0.5},
+    {"covariance": "full"},
+    {"covariance": "full", "shrinkage": 0.5},
+]
 
 
 def test_every_option_is_part_of_the_hash() -> None:
@@ -203,11 +221,15 @@ def test_every_option_is_part_of_the_hash() -> None:
         {"warm_start_std": 2.0},
         {"clip": False},
         {"best": "last"},
+        {"noise_beta": 2.0},
+        {"shift_elites": 1},
+        *BUDGET_OPTIONS,
     ]
     made: list[Any] = [VisualMPC(), *(VisualMPC(**option) for option in options)]
     made += [HVF(mpc=mpc) for mpc in made]
     made += [HVF(subgoals=1), HVF(reduction="mean"), HVF(prune=False), HVF(share_rollouts=False)]
     made += [HVF(best="last"), HVF(samples=201), HVF(segment_cost="likelihood")]
+    made += [HVF(**option) for option in BUDGET_OPTIONS]
     assert len(set(made)) == len({hash(planner) for planner in made}) == len(made)
     assert VisualMPC(min_variance=0.0) == VisualMPC(min_variance=-0.0)
     assert hash(VisualMPC(min_variance=0.0)) == hash(VisualMPC(min_variance=-0.0))

@@ -7,7 +7,11 @@ import re
 
 from rich.console import Console
 
-from hvf.progress import progress
+from hvf.cli.watching import searching, watch
+from hvf.evaluation.evaluation import Evaluation
+from hvf.evaluation.task import Task
+from hvf.progress import Bar, progress
+from hvf.settings import Planning
 
 
 class Clock:
@@ -77,3 +81,37 @@ def test_nothing_is_shown_where_there_is_no_terminal() -> None:
     with progress(Console(file=output), "acting", 3) as bar:
         bar.advance()
     assert output.getvalue() == ""
+
+
+def test_a_search_moves_a_bar_by_its_iterations() -> None:
+    clock = Clock()
+    console, output = terminal(clock)
+    with searching(console, 2, Planning(subgoal_iterations=4)) as told:
+        told(1, 4, 0.25)
+        told(3, 4, 0.125)
+        clock.now += 1
+    shown = output.getvalue()
+    assert "searching for 2 subgoals" in shown
+    assert "3/4 iterations cost 0.125" in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown)
+
+
+def test_an_episode_shows_how_its_search_goes_on() -> None:
+    said: list[dict[str, object]] = []
+
+    class Noting(Bar):
+        def __init__(self) -> None:
+            pass
+
+        def update(self, **given: object) -> None:  # type: ignore[override]
+            said.append(given)
+
+        def advance(self, count: float = 1, note: str | None = None) -> None:
+            said.append({"count": count})
+
+    small = {"samples": 20, "elites": 5, "iterations": 2, "subgoal_samples": 6}
+    small |= {"subgoal_elites": 3, "subgoal_iterations": 2, "steps": 3}
+    with Task.open(Evaluation.of("maze", dynamics="simulator", subgoals=1, **small)) as task:
+        watch(task, 0, Noting())
+    notes = [str(given["note"]) for given in said if given.get("note")]
+    assert [note.split(",")[0] for note in notes] == ["iteration 1 of 2", "iteration 2 of 2"]
+    assert sum(float(str(given["count"])) for given in said if "count" in given) == 3

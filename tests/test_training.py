@@ -24,7 +24,6 @@ import hvf
 from hvf.files import replacing, write_bytes
 from hvf.images import frame_grid
 from hvf.models.checkpoint import (
-    config_from_json,
     export_half,
     load_any,
     load_model,
@@ -32,6 +31,7 @@ from hvf.models.checkpoint import (
     read_tensors,
     save_model,
 )
+from hvf.models.config import config_from_json
 from hvf.models.entry import ModelEntry
 from hvf.registry import MODELS
 from hvf.training import loop as loop_module

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -71,13 +72,18 @@ def read_image(argument: str, path: str | Path) -> NDArray[np.uint8]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it is no image.
+        ValueError: it is no image, or has more than 89 million pixels.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{argument}: {path} is no file")
+    # Pillow warns of a size that few cameras have, and refuses twice of it: it may be a lie that
+    # takes all memory.
+    too_large = (Image.DecompressionBombWarning, Image.DecompressionBombError)
     try:
-        with Image.open(path) as image:
-            return np.array(image.convert("RGB"))
-    except (OSError, SyntaxError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(path) as image:
+                return np.array(image.convert("RGB"))
+    except (OSError, SyntaxError, *too_large) as error:
         raise ValueError(f"{argument}: {path} is no image ({error})") from error

@@ -7,6 +7,7 @@ is a value of them. The paper's names are in brackets.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any, Literal, TypeAlias
 
@@ -96,18 +97,39 @@ class Planning:
         initial_high: highest actions of a uniform one.
         clip: whether actions drawn from a Gaussian are clipped to the box; the authors' code does
             not.
+        noise_beta: exponent by which the noise of actions is coloured over time; 0 for white noise,
+            2 for iCEM's.
+        momentum: share of the old distribution that a refit keeps (iCEM's alpha).
+        samples_decay: by how much each iteration has fewer samples than the one before (iCEM's
+            gamma).
+        temperature: weigh elites by their costs (MPPI's lambda, in units of a cost); none for all
+            alike.
+        min_std: least standard deviation of a refit, in units of the action.
+        covariance: what a refit keeps of the elites' covariance: diagonal or full.
+        shrinkage: how far the correlations of a full one are shrunk towards none.
         best: whether the best candidate of all iterations is acted, or of the last (the authors'
             code); the same for subgoals.
         keep_elites: best candidates that compete again in the next iteration.
         warm_start: begin each search around the rest of the last plan.
+        shift_elites: best candidates of the last plan that compete again in the next one, shifted
+            (iCEM); with warm_start.
         replan_every: steps of a plan that are acted before the next one is made.
         keep_better: go on with the rest of a plan as long as no new one has a lower predicted
             cost: for budgets so small that a good plan may not be found again.
         blur: standard deviation of a Gaussian blur of frames before they are compared, pixels.
         over_horizon: predicted frames that count: the last (the paper's), their sum or minimum.
+        scene_weight: how often the distance of what is behind the arm counts, beside that of whole
+            frames; for dynamics that tell the two apart (layers), no other has a use for it.
         subgoal_samples: subgoal samples per iteration (M).
         subgoal_elites: of which the best are kept (M*).
         subgoal_iterations: iterations of the search for subgoals.
+        subgoal_keep_elites: as ``keep_elites``, for subgoals; so are the next ones.
+        subgoal_momentum: share of the old distribution that a refit keeps.
+        subgoal_samples_decay: by how much each iteration has fewer samples.
+        subgoal_temperature: weigh elites by their costs; none for all alike.
+        subgoal_min_std: least standard deviation of a refit; latents have 1 at first.
+        subgoal_covariance: diagonal, or full over the latents of all subgoals.
+        subgoal_shrinkage: how far the correlations of a full one are shrunk.
         reduction: cost of a sample over its segments: the maximum (the paper's) or the mean.
         segment_cost: who says what a segment costs: the planner, which plans it (the paper's), or
             the generator, by how likely it is that random play leads from one frame to the next;
@@ -134,14 +156,30 @@ class Planning:
     clip: bool = True
     best: Literal["all", "last"] = "all"
     keep_elites: int = 0
+    noise_beta: float = 0.0
+    momentum: float = 0.0
+    samples_decay: float = 1.0
+    temperature: float | None = None
+    min_std: float = 0.0
+    covariance: Literal["diagonal", "full"] = "diagonal"
+    shrinkage: float = 0.1
     warm_start: bool = False
+    shift_elites: int = 0
     replan_every: int = 1
     keep_better: bool = False
     blur: float = 0.0
     over_horizon: OverHorizon = "last"
+    scene_weight: float = 0.0
     subgoal_samples: int = 200
     subgoal_elites: int = 40
     subgoal_iterations: int = 5
+    subgoal_keep_elites: int = 0
+    subgoal_momentum: float = 0.0
+    subgoal_samples_decay: float = 1.0
+    subgoal_temperature: float | None = None
+    subgoal_min_std: float = 0.0
+    subgoal_covariance: Literal["diagonal", "full"] = "diagonal"
+    subgoal_shrinkage: float = 0.1
     reduction: Literal["max", "mean"] = "max"
     segment_cost: Literal["planned", "likelihood"] = "planned"
     steps: int | None = None
@@ -158,6 +196,12 @@ class Planning:
         self.replanning.check(self.horizon)
         check_blur("blur", self.blur)
         check_word("over_horizon", self.over_horizon, ("last", "sum", "min"))
+        if not 0 <= self.scene_weight < math.inf:
+            raise ValueError(
+                f"scene_weight: must be finite and not negative, got {self.scene_weight}"
+            )
+        if self.shift_elites and not self.warm_start:
+            raise ValueError("shift_elites: belongs to warm_start, which is off")
         if self.steps is not None and self.steps < 1:
             raise ValueError(f"steps: must be at least 1, got {self.steps}")
 
@@ -189,6 +233,14 @@ class Planning:
             **first,
             clip=self.clip,
             best=self.best,
+            noise_beta=self.noise_beta,
+            momentum=self.momentum,
+            samples_decay=self.samples_decay,
+            temperature=self.temperature,
+            min_std=self.min_std,
+            covariance=self.covariance,
+            shrinkage=self.shrinkage,
+            shift_elites=self.shift_elites,
         )
 
     def search(self, subgoals: int) -> hvf_core.HVF:
@@ -202,6 +254,13 @@ class Planning:
             reduction=self.reduction,
             best=self.best,
             segment_cost=self.segment_cost,
+            keep_elites=self.subgoal_keep_elites,
+            momentum=self.subgoal_momentum,
+            samples_decay=self.subgoal_samples_decay,
+            temperature=self.subgoal_temperature,
+            min_std=self.subgoal_min_std,
+            covariance=self.subgoal_covariance,
+            shrinkage=self.subgoal_shrinkage,
         )
 
     @property

@@ -1,4 +1,4 @@
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal, SupportsIndex, TypeAlias, final
 
 import numpy as np
@@ -194,6 +194,25 @@ class VisualMPC:
         best: Where the answer comes from: ``"all"``, the candidate with the lowest cost of all
             iterations, or ``"last"``, that of the last iteration that was run (kept elites
             included), as in the authors' released code.
+        momentum: Share of the old mean, deviations and correlations that a refit keeps, from 0 to
+            below 1 (iCEM's alpha).
+        samples_decay: By how much each iteration has fewer samples than the one before, at least
+            1: ``samples / samples_decay**i``, but no fewer than twice the elites (iCEM's gamma).
+        temperature: Elites count by ``exp((best - cost) / temperature)`` in the refit (MPPI's
+            lambda, in units of a cost); ``None`` for all alike.
+        min_std: Least standard deviation of the refitted distribution, in units of an action. Above
+            the root of ``min_variance`` no problem is done early.
+        covariance: What the refit keeps of the elites' covariance: ``"diagonal"``, the variances,
+            or ``"full"``, the correlations, too, for candidates of at most 256 dimensions.
+        shrinkage: How far the correlations of ``"full"`` are shrunk towards none, from 1e-6 to 1;
+            1 draws as ``"diagonal"`` does.
+        noise_beta: How fast the power of the noise of drawn actions falls with its frequency over
+            the time steps of a plan, ``f**-noise_beta``: 0 for white noise, 2 for iCEM's (Pinneri
+            et al., 2020). Single actions are distributed as without. For at most 256 actions a
+            plan, and ``"diagonal"``.
+        shift_elites: Best candidates of its last iteration that a plan keeps; in a next plan with
+            this as ``warm_start`` they take the place of as many samples of the first iteration,
+            shifted by one step (iCEM). At most ``elites``.
 
     Raises:
         ValueError: An argument is out of range; the message names it.
@@ -218,6 +237,14 @@ class VisualMPC:
         warm_start_std: float = 1.0,
         clip: bool = True,
         best: Literal["all", "last"] = "all",
+        momentum: float = 0.0,
+        samples_decay: float = 1.0,
+        temperature: float | None = None,
+        min_std: float = 0.0,
+        covariance: Literal["diagonal", "full"] = "diagonal",
+        shrinkage: float = 0.1,
+        noise_beta: float = 0.0,
+        shift_elites: SupportsIndex = 0,
     ) -> Self: ...
     def __hash__(self) -> int: ...
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
@@ -251,6 +278,22 @@ class VisualMPC:
     def clip(self) -> bool: ...
     @property
     def best(self) -> Literal["all", "last"]: ...
+    @property
+    def momentum(self) -> float: ...
+    @property
+    def samples_decay(self) -> float: ...
+    @property
+    def temperature(self) -> float | None: ...
+    @property
+    def min_std(self) -> float: ...
+    @property
+    def covariance(self) -> Literal["diagonal", "full"]: ...
+    @property
+    def shrinkage(self) -> float: ...
+    @property
+    def noise_beta(self) -> float: ...
+    @property
+    def shift_elites(self) -> int: ...
     def plan(
         self,
         model: Any,
@@ -258,6 +301,7 @@ class VisualMPC:
         goal: Any,
         seed: SupportsIndex = 0,
         warm_start: Plan | ArrayLike | None = None,
+        warm_elites: ArrayLike | None = None,
     ) -> Plan:
         """Find actions that lead from ``start`` to ``goal``.
 
@@ -273,6 +317,9 @@ class VisualMPC:
             warm_start: The last plan, as it was before its first action was taken: the search
                 starts from a Gaussian around the rest of it. A :class:`Plan` or float actions
                 ``[H, A]``.
+            warm_elites: The best candidates of that plan, as they were before its first action was
+                taken, float ``[S, H, A]`` with ``S`` at most ``shift_elites``; ``None`` for those
+                that a :class:`Plan` brings.
 
         Raises:
             ValueError: An argument does not fit, or the model answered with the wrong shape or
@@ -291,6 +338,7 @@ class VisualMPC:
         goals: Any,
         seeds: SupportsIndex | Sequence[SupportsIndex] | NDArray[np.integer] | None = None,
         warm_start: Plans | ArrayLike | None = None,
+        warm_elites: ArrayLike | None = None,
     ) -> Plans:
         """Solve ``B`` problems together: as :meth:`plan` one by one, to the last bit.
 
@@ -302,6 +350,8 @@ class VisualMPC:
             seeds: One seed for all, one for each ``[B]``, or ``None`` for 0. Problems with one
                 start and one seed share their first iteration's rollouts where the model can.
             warm_start: The last plans: :class:`Plans` or float actions ``[B, H, A]``.
+            warm_elites: Their best candidates, float ``[B, S, H, A]``, unless :class:`Plans` bring
+                them.
 
         Raises:
             As :meth:`plan`.
@@ -319,6 +369,10 @@ class Plan:
     @property
     def cost(self) -> float:
         """Predicted cost of these actions: the lowest of the iterations that ``best`` says."""
+
+    @property
+    def elites(self) -> NDArray[np.float32]:
+        """Best candidates of the last iteration, best first, float32 ``[shift_elites, H, A]``."""
 
     @property
     def iterations(self) -> int:
@@ -344,6 +398,10 @@ class Plans:
     @property
     def costs(self) -> NDArray[np.float32]:
         """Predicted costs, float32 ``[B]``."""
+
+    @property
+    def elites(self) -> NDArray[np.float32]:
+        """As :attr:`Plan.elites`, float32 ``[B, shift_elites, H, A]``."""
 
     @property
     def iterations(self) -> NDArray[np.int64]:
@@ -387,6 +445,18 @@ class HVF:
         segment_cost: Who says what a segment costs: ``"planned"``, the planner, by the predicted
             cost of its best plan (the paper's), or ``"likelihood"``, the generator, by its
             ``segment_costs`` and without a plan.
+        momentum: Share of the old mean, deviations and correlations that a refit keeps, from 0 to
+            below 1 (iCEM's alpha).
+        samples_decay: By how much each iteration has fewer samples than the one before, at least
+            1: ``samples / samples_decay**i``, but no fewer than twice the elites (iCEM's gamma).
+        temperature: Elites count by ``exp((best - cost) / temperature)`` in the refit (MPPI's
+            lambda, in units of a cost); ``None`` for all alike.
+        min_std: Least standard deviation of the refitted distribution, in units of a latent. Above
+            the root of ``min_variance`` no problem is done early.
+        covariance: What the refit keeps of the elites' covariance: ``"diagonal"``, the variances,
+            or ``"full"``, the correlations, too, for candidates of at most 256 dimensions.
+        shrinkage: How far the correlations of ``"full"`` are shrunk towards none, from 1e-6 to 1;
+            1 draws as ``"diagonal"`` does.
 
     Raises:
         ValueError: An argument is out of range; the message names it.
@@ -408,6 +478,12 @@ class HVF:
         share_rollouts: bool = True,
         best: Literal["all", "last"] = "all",
         segment_cost: Literal["planned", "likelihood"] = "planned",
+        momentum: float = 0.0,
+        samples_decay: float = 1.0,
+        temperature: float | None = None,
+        min_std: float = 0.0,
+        covariance: Literal["diagonal", "full"] = "diagonal",
+        shrinkage: float = 0.1,
     ) -> Self: ...
     def __hash__(self) -> int: ...
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
@@ -435,8 +511,26 @@ class HVF:
     def best(self) -> Literal["all", "last"]: ...
     @property
     def segment_cost(self) -> Literal["planned", "likelihood"]: ...
+    @property
+    def momentum(self) -> float: ...
+    @property
+    def samples_decay(self) -> float: ...
+    @property
+    def temperature(self) -> float | None: ...
+    @property
+    def min_std(self) -> float: ...
+    @property
+    def covariance(self) -> Literal["diagonal", "full"]: ...
+    @property
+    def shrinkage(self) -> float: ...
     def search(
-        self, model: Any, generator: Any, start: Any, goal: Any, seed: SupportsIndex = 0
+        self,
+        model: Any,
+        generator: Any,
+        start: Any,
+        goal: Any,
+        seed: SupportsIndex = 0,
+        progress: Callable[[int, int, float], object] | None = None,
     ) -> SearchResult:
         """Search for subgoals between ``start`` and ``goal``.
 
@@ -448,9 +542,15 @@ class HVF:
             goal: The same for the goal.
             seed: From 0 to 2**64 - 1. The same seed gives the same result to the last bit, with
                 any number of threads, and with ``prune`` and ``share_rollouts`` on or off.
+            progress: Called as ``progress(iteration, iterations, cost)`` after every iteration, the
+                first being 1, of at most ``iterations``, with the lowest cost so far (of the last
+                iteration for ``best="last"``). What it raises ends the search.
 
         Raises:
-            As :meth:`VisualMPC.plan`.
+            As :meth:`VisualMPC.plan`. An exception that ends a search after its first iteration
+            (KeyboardInterrupt by Ctrl-C, or any of ``progress`` or a model) has an attribute
+            ``partial``: the :class:`SearchResult` that the search would have given after its last
+            finished iteration (by ``"likelihood"``, without plans).
         """
 
     def search_batch(
@@ -891,11 +991,11 @@ class LayerFrames:
 class LayerWorld:
     """The desk's learned dynamics model, evaluated in Rust; a world model with actions in [-1, 1].
 
-    `hvf.worlds.desk_learned.DeskLearnedWorld` makes one from a trained
-    `hvf.models.desk.dynamics.DeskDynamics`. The cost is the squared pixel distance of the predicted
-    frame to the goal, per pixel. Costs agree with those of torch to 1e-3 of their value, rollouts
-    of 15 steps to 1e-2 pixels. Actions beyond the box are taken as they are: the model, which was
-    trained within it, extrapolates.
+    `hvf.worlds.layers.LayerWorld` makes one from a trained
+    `hvf.models.layers.dynamics.LayerDynamics`. The cost is the squared pixel distance of the
+    predicted frame to the goal, per pixel. Costs agree with those of torch to 1e-3 of their value,
+    rollouts of 15 steps to 1e-2 pixels. Actions beyond the box are taken as they are: the model,
+    which was trained within it, extrapolates.
 
     Letters in shapes: `A` = 3 action dimensions, `G` = 2 sliders, `R` parts that roam, `C` length
     of their memory, `T` size of a tile, `W` size of a sprite, `S` image size, `X` = A + G + 3R
@@ -923,6 +1023,8 @@ class LayerWorld:
         blur: standard deviation of the Gaussian blur before frames are compared, in pixels.
         over_horizon: `"last"`, `"sum"` or `"min"` over the predicted frames.
         hold: steps that each action is held for; only frames after a held action count.
+        scene_weight: how often what is behind the arm counts, beside the whole frame: the squared
+            distance of frames without their arms, where the goal's hides nothing, without a blur.
 
     Raises:
         ValueError: shapes that do not fit each other, or numbers out of range, of any size.
@@ -947,6 +1049,7 @@ class LayerWorld:
         blur: float = 0.0,
         over_horizon: Literal["last", "sum", "min"] = "last",
         hold: SupportsIndex = 1,
+        scene_weight: float = 0.0,
     ) -> Self: ...
     @property
     def action_low(self) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ use hvf_core::keypoint::{Cell, CellWeights, KeypointFrames, KeypointWorld, Sprit
 use hvf_core::planner::mpc::plan;
 use hvf_core::planner::sampler::{Purpose, Stream};
 use hvf_core::planner::{
-    search, ActionSpace, Frames, HvfConfig, MpcConfig, Problems, SubgoalModel, WorldModel,
+    search, ActionSpace, Frames, HvfConfig, MpcConfig, Problems, SubgoalModel, Watch, WorldModel,
 };
 use hvf_core::Result;
 use ndarray::{Array1, Array2, Array3, Array4, Dimension, ShapeBuilder};
@@ -148,7 +148,7 @@ fn keypoint(criterion: &mut Criterion) {
         group.bench_function(BenchmarkId::new("full_budget_search", name), |bencher| {
             bencher.iter(|| {
                 let config = HvfConfig::default();
-                search(&config, &world, &Anywhere, &start, &goal, 0, &|| Ok(())).unwrap()
+                search(&config, &world, &Anywhere, &start, &goal, 0, Watch::nobody()).unwrap()
             });
         });
     }

@@ -12,7 +12,7 @@ use criterion::{criterion_group, criterion_main, BenchmarkId, Criterion, Through
 use hvf_core::image::OverHorizon;
 use hvf_core::latent::{Dynamics, LatentCost, LatentFrames, LatentWorld, Readout};
 use hvf_core::nn::{Activation, GruWeights, Linear, ResidualWeights};
-use hvf_core::planner::{search, ActionSpace, Frames, HvfConfig, SubgoalModel, WorldModel};
+use hvf_core::planner::{search, ActionSpace, Frames, HvfConfig, SubgoalModel, Watch, WorldModel};
 use hvf_core::Result;
 use multiversion::multiversion;
 use ndarray::{s, Array1, Array2, Array3, Array4, ArrayView2};
@@ -226,9 +226,9 @@ fn searches(_: &mut Criterion) {
         let ends = frames(draws.matrix(2, latent, 1.0).view());
         let (start, goal) = (ends.select(&[0]).unwrap(), ends.select(&[1]).unwrap());
         let generator = Spread(draws.matrix(8, latent, 0.6));
-        let config = HvfConfig { subgoals: 2, ..HvfConfig::default() };
+        let config = HvfConfig::default();
         let begun = Instant::now();
-        search(&config, &world, &generator, &start, &goal, 7, &|| Ok(())).unwrap();
+        search(&config, &world, &generator, &start, &goal, 7, Watch::nobody()).unwrap();
         println!(
             "{name}: search with M = D = 200, K = 2, H = 5 in {:.1} s on {} cores",
             begun.elapsed().as_secs_f64(),

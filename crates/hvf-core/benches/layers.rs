@@ -7,9 +7,9 @@
 use criterion::{criterion_group, criterion_main, BenchmarkId, Criterion, Throughput};
 use hvf_core::image::OverHorizon;
 use hvf_core::layers::{
-    Backdrop, Cell, CellWeights, Gallery, GalleryImages, LayerFrames, LayerWorld, Linear, Painter,
-    Sprites,
+    Backdrop, Cell, CellWeights, Gallery, GalleryImages, LayerFrames, LayerWorld, Painter, Sprites,
 };
+use hvf_core::nn::Linear;
 use hvf_core::planner::{Frames, WorldModel};
 use ndarray::{Array1, Array2, Array3, Array4, Array5, Axis, Dimension, ShapeBuilder};
 

@@ -5,11 +5,11 @@
 
 use criterion::{criterion_group, criterion_main, Criterion, Throughput};
 use hvf_core::maze::{Difficulty, Episode, MazeFrames, MazeSubgoals, MazeWorld, MazeWorldConfig};
+use hvf_core::planner::cem::distribution::{Bounds, Initial, Space, Start};
 use hvf_core::planner::cem::{minimise, Call, CemConfig, Objective};
-use hvf_core::planner::distribution::{Bounds, Initial};
 use hvf_core::planner::mpc::plan;
 use hvf_core::planner::sampler::{Purpose, Stream};
-use hvf_core::planner::{search, HvfConfig, MpcConfig, Problems};
+use hvf_core::planner::{search, HvfConfig, MpcConfig, Problems, Watch};
 use hvf_core::Result;
 use ndarray::{Array2, Array3};
 
@@ -30,7 +30,8 @@ impl Objective for Free {
 fn cem_own_work(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("cem_own_work");
     group.sample_size(20);
-    let config = CemConfig { min_variance: 0.0, ..CemConfig::default() };
+    let mut config = CemConfig::default();
+    config.min_variance = 0.0;
     let costs = Array2::from_shape_fn((PROBLEMS, config.samples), |(problem, sample)| {
         ((problem * 7919 + sample * 104_729) % 100_003) as f32
     });
@@ -38,13 +39,15 @@ fn cem_own_work(criterion: &mut Criterion) {
     let streams: Vec<Stream> = (0..PROBLEMS as u64)
         .map(|problem| Stream { seed: 0, purpose: Purpose::Actions, problem })
         .collect();
-    let uniform = Initial::Uniform { low: bounds.low.clone(), high: bounds.high.clone() };
+    let uniform: Start =
+        Initial::Uniform { low: bounds.low.clone(), high: bounds.high.clone() }.into();
+    let space = Space::from(bounds);
     let candidates = PROBLEMS * config.samples * config.iterations;
     group.throughput(Throughput::Elements(candidates as u64));
     group.bench_function("600_problems_x_200_samples_x_10_dims", |bencher| {
         let mut objective = Free { costs: costs.clone() };
         bencher.iter(|| {
-            minimise(&config, &bounds, std::slice::from_ref(&uniform), &streams, &mut objective)
+            minimise(&config, &space, std::slice::from_ref(&uniform), &streams, &mut objective)
         });
     });
     group.finish();
@@ -96,7 +99,7 @@ fn subgoal_search(criterion: &mut Criterion) {
         ("full_budget", full.clone()),
         (
             "full_budget_nothing_saved",
-            HvfConfig { prune: false, share_rollouts: false, ..full.clone() },
+            with(|config| (config.prune, config.share_rollouts) = (false, false)),
         ),
         ("m_100", with(|config| config.cem.samples = 100)),
         ("m_400", with(|config| config.cem.samples = 400)),
@@ -110,7 +113,7 @@ fn subgoal_search(criterion: &mut Criterion) {
     for (name, config) in cases {
         group.bench_function(name, |bencher| {
             bencher.iter(|| {
-                search(&config, &world, &generator, &start, &goal, 0, &|| Ok(())).unwrap()
+                search(&config, &world, &generator, &start, &goal, 0, Watch::nobody()).unwrap()
             });
         });
     }

@@ -2,6 +2,7 @@
 
 /// What went wrong, and in which argument.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum Error {
     /// An argument has the wrong shape, range or value.
     #[error("{argument}: {problem}")]

@@ -1,19 +1,24 @@
-//! Hierarchical visual foresight in Rust: the maze, image costs, the cross-entropy method,
-//! visual model-predictive control and the search for subgoal images.
-//!
-//! This crate knows nothing of Python. See Nair & Finn, "Hierarchical Foresight", ICLR 2020.
+#![doc = include_str!("../README.md")]
 #![deny(missing_docs)]
 #![warn(clippy::unwrap_used)]
 
 pub mod error;
 pub mod image;
 pub mod keypoint;
-pub mod lanes;
+mod lanes;
 pub mod latent;
 pub mod layers;
 pub mod maze;
 pub mod nn;
 pub mod planner;
 mod rows;
+pub mod worlds;
+
+pub use ndarray;
 
 pub use error::{Error, Result};
+pub use planner::{
+    search, ActionInitial, ActionSpace, BestOf, Candidates, CemConfig, Covariance, Frames,
+    HvfConfig, MpcConfig, Plan, Reduction, SearchResult, SegmentCost, SharedCandidates,
+    SubgoalModel, Watch, WorldModel,
+};

@@ -2,9 +2,9 @@
 
 use hvf_core_rs::image::OverHorizon;
 use hvf_core_rs::layers::{
-    Backdrop, Cell, CellWeights, Gallery, GalleryImages, LayerFrames, LayerWorld, Linear, Painter,
-    Sprites,
+    Backdrop, Cell, CellWeights, Gallery, GalleryImages, LayerFrames, LayerWorld, Painter, Sprites,
 };
+use hvf_core_rs::nn::Linear;
 use hvf_core_rs::planner::{Frames, WorldModel};
 use ndarray::{Ix2, Ix3, Ix4};
 use numpy::{
@@ -115,10 +115,10 @@ impl PyLayerWorld {
     #[pyo3(signature = (
         *, hand, sliders, parts, contact, reach, arm_low, arm_step, arm_places, arm_patches,
         arm_index, table, sprites, blur=Given::of(0.0), over_horizon=text("last"),
-        hold=Whole::of(1)
+        hold=Whole::of(1), scene_weight=Given::of(0.0)
     ), text_signature = "(*, hand, sliders, parts, contact, reach, arm_low, arm_step, arm_places, \
                          arm_patches, arm_index, table, sprites, blur=0.0, over_horizon='last', \
-                         hold=1)")]
+                         hold=1, scene_weight=0.0)")]
     #[allow(clippy::too_many_arguments)]
     fn new(
         hand: &Bound<'_, PyAny>,
@@ -136,6 +136,7 @@ impl PyLayerWorld {
         blur: Real,
         over_horizon: Text,
         hold: Whole,
+        scene_weight: Real,
     ) -> PyResult<Self> {
         let hand = layers("hand", hand)?;
         let sliders = few("sliders", sliders, "networks of layers")?;
@@ -155,6 +156,7 @@ impl PyLayerWorld {
         let blur = blur.get("blur")?;
         let over_horizon = over_horizon.get("over_horizon")?;
         let hold = hold.count("hold")?;
+        let scene_weight = scene_weight.get("scene_weight")?;
         let build = || {
             let sprites = Sprites::new(sprites.as_array())?;
             let cell = Cell::new(&CellWeights {
@@ -176,7 +178,8 @@ impl PyLayerWorld {
             let backdrop = Backdrop::new(table.as_array(), gallery.tiles())?;
             let painter = Painter::new(backdrop, sprites, gallery)?;
             LayerWorld::new(cell, painter, blur, OverHorizon::from_name(&over_horizon)?)?
-                .holding(hold)
+                .holding(hold)?
+                .weighing_scene(scene_weight)
         };
         Ok(Self { inner: build().map_err(to_py)? })
     }

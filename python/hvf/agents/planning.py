@@ -151,18 +151,22 @@ class PlanningAgent:
     def _plan(
         self, which: Indices, observations: Images, targets: list[Any], seeds: Sequence[int]
     ) -> None:
-        last = None
+        last = elites = None
         if self.replanning.warm_start and all(int(trial) in self._plans for trial in which):
-            last = np.stack([self._plans[int(trial)].before_last_action() for trial in which])
+            before = [self._plans[int(trial)] for trial in which]
+            last = np.stack([plan.before_last_action(plan.actions) for plan in before])
+            elites = np.stack([plan.before_last_action(plan.elites) for plan in before])
         plans = self.mpc.plan_batch(
             self.world,
             self._starts(which, observations),
             _batch(self.world, targets),
             seeds=seeds,
             warm_start=last,
+            warm_elites=elites,
         )
-        for n, trial in enumerate(map(int, which)):
-            new = _Current(plans.actions[n], float(plans.costs[n]), targets[n])
+        found = zip(plans.actions, plans.elites, plans.costs, strict=True)
+        for n, (trial, (actions, best, cost)) in enumerate(zip(which.tolist(), found, strict=True)):
+            new = _Current(actions, best, float(cost), targets[n])
             old = self._plans.get(trial)
             if self.replanning.keep_better and old is not None and old.still_better(new):
                 old.since = 0
@@ -184,6 +188,7 @@ class _Current:
     """A plan that is being acted; ``since`` counts steps since it was last weighed."""
 
     actions: NDArray[np.float32]
+    elites: NDArray[np.float32]
     cost: float
     target: Any
     acted: int = 0
@@ -204,14 +209,15 @@ class _Current:
         """Whether the rest of this plan is worth more than a new one."""
         return self.left > 0 and self.cost <= new.cost and _same(self.target, new.target)
 
-    def before_last_action(self) -> NDArray[np.float32]:
-        """The plan as the search wants it for a warm start: it begins with the last action acted.
+    def before_last_action(self, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """``actions [.., H, A]`` as the search wants them for a warm start.
 
-        Its last action is repeated where the plan has come to its end.
+        They begin with the last action acted; their last one is repeated where the plan has come to
+        its end.
         """
         first = max(self.acted - 1, 0)
         steps = np.minimum(np.arange(len(self.actions)) + first, len(self.actions) - 1)
-        rest: NDArray[np.float32] = self.actions[steps]
+        rest: NDArray[np.float32] = actions[..., steps, :]
         return rest
 
 

@@ -55,6 +55,9 @@ class Searched:
         count: subgoals at the start, ``K``.
         world: what it plans with.
         generator: what draws them.
+
+    Attributes:
+        progress: told how each search goes on, if not None: iteration, of how many, cost so far.
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class Searched:
     ) -> None:
         self._search, self._count = search, count
         self._world, self._generator = world, generator
+        self.progress: Callable[[int, int, float], object] | None = None
         # All at once, which is cheaper than one by one.
         self._ends = _Once(
             lambda trials: (
@@ -88,7 +92,9 @@ class Searched:
 
     def _found(self, start: Any, goal: Any, seed: int, count: int) -> Frames:
         search = self._search(count)
-        found = search.search(self._world, self._generator, start, goal, seed)
+        found = search.search(
+            self._world, self._generator, start, goal, seed, progress=self.progress
+        )
         frames: Frames = found.subgoals
         return frames
 

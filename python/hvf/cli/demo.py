@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 
 from hvf.cli.arguments import domain_named, evaluating
 from hvf.evaluation.evaluation import Evaluation
+from hvf.progress import progress
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,21 +62,20 @@ def run(words: Sequence[str]) -> None:
     chosen = config.evaluation.method
     methods = (chosen,) if chosen == "none" else (chosen, "none")
     with (
-        Progress(console=console, transient=True, disable=not console.is_terminal) as progress,
+        progress(console, "loading", None, "steps") as bar,
         domain.open(config.workers) as place,
     ):
-        bar = progress.add_task("loading", total=None)
         for method in methods:
             task = Task(dataclasses.replace(config.evaluation, method=method), place)
-            progress.update(bar, total=len(methods) * config.episodes * task.steps)
+            bar.update(total=len(methods) * config.episodes * task.steps)
             done, began = [], time.perf_counter()
             for index in range(config.episodes):
-                outcome, episode = watch(task, index, progress, bar)
+                outcome, episode = watch(task, index, bar)
                 done += records(outcome, index)
                 caption = f"{task.name}, episode {index}"
                 console.print(how_it_went(caption, outcome), highlight=False)
                 if method == chosen and len(pictures) < config.pictures:
-                    progress.update(bar, description="drawing")
+                    bar.update(description="drawing")
                     stem = config.out / f"episode-{index}"
                     save_strip(episode, stem.with_suffix(".png"), caption)
                     save_film(episode, stem.with_suffix(".gif"), caption)

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 
 from hvf.cli import recorded
 from hvf.cli.arguments import domain_named, evaluating
 from hvf.evaluation.evaluation import Evaluation
+from hvf.progress import progress
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,9 +61,8 @@ def run(words: Sequence[str]) -> None:
     console = Console()
     with Task.open(config.evaluation, config.workers) as task:
         name = f"{task.name}, episode {config.episode}"
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            bar = progress.add_task("", total=task.steps)
-            outcome, episode = watch(task, config.episode, progress, bar)
+        with progress(console, "", task.steps, "steps") as bar:
+            outcome, episode = watch(task, config.episode, bar)
     stem = config.out / f"episode-{config.episode}"
     save_strip(episode, stem.with_suffix(".png"), name)
     save_film(episode, stem.with_suffix(f".{config.film}"), name)

@@ -67,6 +67,7 @@ class Recorded:
 
 def run(domain: Domain, words: Sequence[str]) -> None:
     """Search, and write what was found."""
+    from hvf.cli.watching import searching
     from hvf.data.formats import open_episodes
     from hvf.evaluation.between import Recorded as Episode
     from hvf.evaluation.between import load_for, training_episodes
@@ -82,8 +83,10 @@ def run(domain: Domain, words: Sequence[str]) -> None:
         ends = episode.at("from", config.first), episode.at("to", config.last)
         with console.status("loading models"):
             loaded = load_for(domain, World(config.dynamics, config.generator), config.planning)
-        with console.status(f"searching for {config.subgoals} subgoals"):
-            found = episode.search(loaded, config.planning, ends, config.subgoals, config.seed)
+        with searching(console, config.subgoals, config.planning) as told:
+            found = episode.search(
+                loaded, config.planning, ends, config.subgoals, config.seed, progress=told
+            )
         training = training_episodes(known)
         if training is None:
             console.print("no nearest training frames: name the training episodes, --train-data")

@@ -52,6 +52,7 @@ class Subgoals:
 
 def run(words: Sequence[str]) -> None:
     """Search, and write what was found."""
+    from hvf.cli.watching import searching
     from hvf.evaluation.between import load_for, search_between
     from hvf.images import read_image
 
@@ -62,7 +63,9 @@ def run(words: Sequence[str]) -> None:
     planning = domain.preset(config.preset).planning
     with console.status("loading models"):
         loaded = load_for(domain, World(config.dynamics, config.generator), planning)
-    with console.status(f"searching for {config.subgoals} subgoals"):
-        found = search_between(loaded, planning, start, goal, config.subgoals, config.seed)
+    with searching(console, config.subgoals, planning) as told:
+        found = search_between(
+            loaded, planning, start, goal, config.subgoals, config.seed, progress=told
+        )
     found.write(config.out)
     console.print(f"{config.out}: {found.title}", highlight=False)

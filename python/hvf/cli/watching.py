@@ -1,25 +1,50 @@
-"""An episode as it happens: a bar that moves by its steps, and a line of how it went."""
+"""Work as it happens: a bar that moves by an episode's steps or a search's iterations."""
 
 from __future__ import annotations
 
-from rich.progress import Progress, TaskID
+import contextlib
+from collections.abc import Callable, Iterator
 
+from rich.console import Console
+
+from hvf.agents.planning import PlanningAgent
+from hvf.agents.subgoals import Searched
 from hvf.evaluation.acting import Outcome
 from hvf.evaluation.recording import Episode, record
 from hvf.evaluation.task import Task
+from hvf.progress import Bar, progress
 from hvf.protocols import Images, Indices
+from hvf.settings import Planning
+
+
+@contextlib.contextmanager
+def searching(
+    console: Console, subgoals: int, planning: Planning
+) -> Iterator[Callable[[int, int, float], None]]:
+    """Show a bar that moves by the iterations of one search; gives what the search should tell."""
+    total = planning.subgoal_iterations
+    with progress(console, f"searching for {subgoals} subgoals", total, "iterations") as bar:
+
+        def told(iteration: int, iterations: int, cost: float) -> None:
+            bar.update(completed=iteration, total=iterations, note=f"cost {cost:.3g}")
+
+        yield told
 
 
 class _Bar:
     """Moves a bar by the steps of one episode (:class:`hvf.evaluation.acting.Watcher`)."""
 
-    def __init__(self, progress: Progress, bar: TaskID, steps: int) -> None:
-        self._progress, self._bar = progress, bar
+    def __init__(self, bar: Bar, steps: int) -> None:
+        self._bar = bar
         self.left = steps
+
+    def searched(self, iteration: int, iterations: int, cost: float) -> None:
+        """An iteration of a search is done."""
+        self._bar.update(note=f"iteration {iteration} of {iterations}, cost {cost:.3g}")
 
     def chosen(self, trial: int) -> None:
         """Subgoals are chosen."""
-        self._progress.update(self._bar, description="acting")
+        self._bar.update(description="acting", note="")
 
     def seen(self, step: int, which: Indices, observations: Images) -> None:
         """Something is seen: nothing to tell."""
@@ -27,15 +52,17 @@ class _Bar:
     def stepped(self, step: int, which: Indices) -> None:
         """A step was taken."""
         self.left -= 1
-        self._progress.update(self._bar, advance=1)
+        self._bar.advance(1)
 
 
-def watch(task: Task, index: int, progress: Progress, bar: TaskID) -> tuple[Outcome, Episode]:
+def watch(task: Task, index: int, bar: Bar) -> tuple[Outcome, Episode]:
     """Run one episode, while ``bar`` goes on by the steps that it may take at most."""
-    progress.update(bar, description="choosing subgoals")
-    moving = _Bar(progress, bar, task.steps)
+    bar.update(description="choosing subgoals")
+    moving = _Bar(bar, task.steps)
+    if isinstance(task.agent, PlanningAgent) and isinstance(task.agent.source, Searched):
+        task.agent.source.progress = moving.searched
     outcome, (episode,) = record(task, index, 1, [moving])
-    progress.update(bar, advance=moving.left)
+    bar.advance(moving.left, note="")
     return outcome, episode
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,7 @@ def search_between(
     subgoals: int,
     seed: int,
     before: tuple[Images, NDArray[np.float32]] | None = None,
+    progress: Callable[[int, int, float], object] | None = None,
 ) -> Between:
     """Search for subgoals between two images, and plan straight to the goal for comparison.
 
@@ -115,6 +117,7 @@ def search_between(
         seed: of the search.
         before: frames before the start, uint8 ``[N, H, W, 3]``, and the actions that lead from each
             to the next, ``[N, A]``, for dynamics with context.
+        progress: told how the search goes on: iteration, of how many, lowest cost so far.
 
     Raises:
         ValueError: images of different sizes, or of another than the models'.
@@ -130,7 +133,7 @@ def search_between(
         ends = now, observed(loaded.world, goal[None])
     direct = planning.mpc.plan(loaded.world, *ends, seed=seed)
     search = planning.search(subgoals)
-    found = search.search(loaded.world, loaded.generator, *ends, seed=seed)
+    found = search.search(loaded.world, loaded.generator, *ends, seed=seed, progress=progress)
     facts = {
         "seed": seed,
         "planning": dataclasses.asdict(planning),
@@ -185,14 +188,22 @@ class Recorded:
         return range(count)[time]
 
     def search(
-        self, loaded: Loaded, planning: Planning, ends: tuple[int, int], subgoals: int, seed: int
+        self,
+        loaded: Loaded,
+        planning: Planning,
+        ends: tuple[int, int],
+        subgoals: int,
+        seed: int,
+        progress: Callable[[int, int, float], object] | None = None,
     ) -> Between:
         """Search for subgoals between two of its frames; see :func:`search_between`."""
         first, last = ends
         before = self.frames[:first], self.actions[:first]
         known = before if first and self.actions.shape[1] == len(loaded.world.action_low) else None
         start, goal = self.frames[first], self.frames[last]
-        return search_between(loaded, planning, start, goal, subgoals, seed, known)
+        return search_between(
+            loaded, planning, start, goal, subgoals, seed, known, progress=progress
+        )
 
 
 def training_episodes(file: EpisodeReader) -> range | None:

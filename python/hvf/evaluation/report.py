@@ -13,6 +13,7 @@ from rich.table import Table
 
 from hvf.evaluation.statistics import wilson_interval
 from hvf.files import write_bytes
+from hvf.settings import Planning
 
 FORMAT = 2
 """Version of the JSON that :class:`Report` is written as."""
@@ -140,7 +141,8 @@ class Report:
 
     def differs_from(self, name: str, head: Mapping[str, Any]) -> str:
         """The first setting in which another evaluation differs, in words; empty if none."""
-        other = json.loads(json.dumps({key: head[key] for key in HEAD}))
+        whole = {**head, "planning": _whole(head["planning"])}
+        other = json.loads(json.dumps({key: whole[key] for key in HEAD}))
         own = json.loads(json.dumps(self.head))
         for key in HEAD:
             if own[key] != other[key]:
@@ -187,14 +189,56 @@ def load(path: Path) -> Report:
         content = json.loads(path.read_text())
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']}")
-        trials = [
-            TrialRecord(**{**trial, "switches": tuple(trial["switches"])})
-            for trial in content["trials"]
-        ]
+        _check(content, _TYPES)
+        trials = [_trial(entry) for entry in content["trials"]]
         wall = float(content["wall_seconds"])
+        content["planning"] = _whole(content["planning"])
         return Report.of(content["name"], content, trials, wall, content["code"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path}: is not an evaluation of this version ({error})") from error
+
+
+def _whole(planning: Mapping[str, Any]) -> dict[str, Any]:
+    """All plan settings: one that was not there yet did what its default does."""
+    return {**dataclasses.asdict(Planning()), **planning}
+
+
+_TYPES: Mapping[str, tuple[type, ...]] = {
+    "name": (str,),
+    **dict.fromkeys(("domain", "task", "method", "preset", "kind"), (str,)),
+    **dict.fromkeys(("world", "planning", "weights", "code"), (dict,)),
+    "split": (str, type(None)),
+    "subgoals": (int,),
+    "seed": (int,),
+    "wall_seconds": (float, int),
+    "trials": (list,),
+}
+_TRIAL_TYPES: Mapping[str, tuple[type, ...]] = {
+    "index": (int,),
+    "success": (bool,),
+    "steps": (int,),
+    "switches": (list,),
+    "search_seconds": (float, int),
+    "step_seconds": (float, int),
+}
+
+
+def _check(content: Mapping[str, Any], types: Mapping[str, tuple[type, ...]]) -> None:
+    """Refuse entries of other types, and numbers that count or measure nothing."""
+    for name, allowed in types.items():
+        value = content[name]
+        if type(value) not in allowed:
+            raise TypeError(f"{name} is of type {type(value).__name__}")
+        if isinstance(value, int | float) and not 0 <= value < float("inf"):
+            raise ValueError(f"{name} is {value}")
+
+
+def _trial(entry: Mapping[str, Any]) -> TrialRecord:
+    _check(entry, _TRIAL_TYPES)
+    switches = tuple(entry["switches"])
+    if any(type(step) is not int for step in switches):
+        raise TypeError("switches are no steps")
+    return TrialRecord(**{**entry, "switches": switches})
 
 
 def table(reports: Sequence[Report], title: str = "") -> Table:

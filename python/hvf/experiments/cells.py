@@ -60,10 +60,12 @@ class Cell:
     Attributes:
         evaluation: gives ours; None where there is none to have.
         published: the paper's, as a fraction; None where it is in a figure only.
+        baseline: what ours is compared with, in pairs, on the same episodes; None for nothing.
     """
 
     evaluation: Evaluation | None
     published: float | None = None
+    baseline: Evaluation | None = None
 
 
 @dataclass(frozen=True)

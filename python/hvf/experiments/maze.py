@@ -7,7 +7,9 @@ from typing import Any
 
 from hvf.evaluation.evaluation import Evaluation
 from hvf.experiments.cells import Cell, PaperTable, Setup
-from hvf.registry import DOMAINS, METHODS
+from hvf.experiments.methods import methods
+from hvf.experiments.planners import planners
+from hvf.registry import METHODS
 
 Published = Mapping[str, Mapping[int, float]]
 
@@ -26,22 +28,10 @@ _BY_COST = {
     "pixel": {"easy": 0.93, "medium": 0.68, "hard": 0.33},
     "latent": {"easy": 0.62, "medium": 0.49, "hard": 0.23},
 }
-_METHODS = (
-    ("none", 0),
-    ("hvf", 1),
-    ("hvf", 2),
-    ("tap", 1),
-    ("tap", 2),
-    ("ground-truth", 1),
-    ("ground-truth", 2),
-    ("rig", 0),
-    ("random", 0),
-)
-"""Methods of the paper's figure, and acting at random; those whose models ship become rows."""
 
 
 def maze(setup: Setup) -> list[PaperTable]:
-    """The maze's tables. Methods are a bar chart in the paper, with few numbers in the text.
+    """The maze's tables.
 
     Elites and the steps towards a subgoal stay as they are when samples or the horizon change.
     """
@@ -63,14 +53,6 @@ def maze(setup: Setup) -> list[PaperTable]:
         }
         return PaperTable(name, title, corner, tuple(map(_counted, counts)), rows)
 
-    def methods(method: str, count: int) -> tuple[Cell, ...]:
-        numbers = {"hard": _BY_SUBGOALS[count]} if method == "hvf" else {}
-        published = _BY_COST["pixel"] if method == "none" else numbers
-        return tuple(
-            Cell(setup.evaluation(method, count, task=task), published.get(task))
-            for task in difficulties
-        )
-
     def cost(name: str) -> tuple[Cell, ...]:
         # A simulator has states, no latents.
         possible = name == "pixel" or setup.dynamics != "simulator"
@@ -80,17 +62,7 @@ def maze(setup: Setup) -> list[PaperTable]:
         )
 
     return [
-        PaperTable(
-            "methods",
-            "Methods by difficulty",
-            "method",
-            difficulties,
-            {
-                METHODS[method].label(count): methods(method, count)
-                for method, count in _METHODS
-                if METHODS[method].asks in (None, *DOMAINS[setup.domain].weights)
-            },
-        ),
+        methods(setup, "Methods by difficulty"),
         PaperTable(
             "subgoals",
             "Number of subgoals, hard",
@@ -115,6 +87,7 @@ def maze(setup: Setup) -> list[PaperTable]:
             {name: cost(name) for name in _BY_COST},
         ),
         _ablation(setup),
+        planners(setup, "hard"),
     ]
 
 

@@ -23,9 +23,10 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report
 from hvf.evaluation.statistics import difference_interval
 from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.desk import desk
 from hvf.experiments.maze import maze
 from hvf.experiments.parallel import Failure, report_of, run_all
-from hvf.experiments.tables import line, notes, rate
+from hvf.experiments.tables import difference, line, notes, rate
 
 PUBLISHED_TRIALS = 100
 """Trials behind each number of the paper."""
@@ -36,8 +37,13 @@ LEGEND = (
     "for separate samples of which the paper's has 100 trials) lies above 0, below, or around it."
 )
 
+PAIRED = (
+    "Success with its 95% Wilson interval; behind it the points more than the first row's, on the "
+    "same episodes, with their 95% interval for paired data (Newcombe, 1998, method 10) and "
+    "McNemar's exact p, which is not corrected for the number of comparisons."
+)
 
-EXPERIMENTS: Mapping[str, Callable[[Setup], list[PaperTable]]] = {"maze": maze}
+EXPERIMENTS: Mapping[str, Callable[[Setup], list[PaperTable]]] = {"desk": desk, "maze": maze}
 """Domain to its tables."""
 
 
@@ -143,7 +149,9 @@ def markdown(
             f"`hvf paper {options} --only {table.name}`",
             "",
         ]
-    return "\n".join([*lines, LEGEND, *(notes(reports.values()) if reports else [])])
+    paired = [_is_paired(table) for table in chosen]
+    legend = [LEGEND] * (not all(paired)) + [PAIRED] * any(paired)
+    return "\n".join([*lines, *legend, *(notes(reports.values()) if reports else [])])
 
 
 def verdict(successes: int, trials: int, published: float) -> str:
@@ -162,9 +170,17 @@ def verdict(successes: int, trials: int, published: float) -> str:
     return "higher" if low > 0 else "lower" if high < 0 else "agrees"
 
 
+def _is_paired(table: PaperTable) -> bool:
+    """Whether its rows are compared with each other, not with the paper's."""
+    return any(cell.baseline for cells in table.rows.values() for cell in cells)
+
+
 def _words(cell: Cell, reports: Mapping[Evaluation, Report]) -> str:
     report = reports.get(cell.evaluation) if cell.evaluation else None
     ours = "" if report is None else rate(report)
+    baseline = reports.get(cell.baseline) if cell.baseline else None
+    if report is not None and baseline is not None:
+        ours += f"; {difference(report, baseline)}"
     if cell.published is None:
         return ours
     paper = f"paper {cell.published:.0%}"

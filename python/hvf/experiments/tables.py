@@ -155,7 +155,7 @@ def _differences(
     for row in sorted(baselines, key=_order):
         other = by_baseline.get(baselines[row], {})
         cells = [
-            _difference(rows[row][task], other[task]) if task in rows[row] and task in other else ""
+            difference(rows[row][task], other[task]) if task in rows[row] and task in other else ""
             for task in tasks
         ]
         if any(cells):
@@ -174,7 +174,8 @@ def _differences(
     ]
 
 
-def _difference(report: Report, baseline: Report) -> str:
+def difference(report: Report, baseline: Report) -> str:
+    """Points of success more, with their interval, and McNemar's exact p."""
     found = compared(report, baseline)
     p = "p < 0.001" if found.p < 1e-3 else f"p = {found.p:.2g}"
     count = "" if found.n == 100 else f" (n = {found.n})"

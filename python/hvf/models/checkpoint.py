@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import types
-import typing
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
@@ -23,6 +21,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialise
 
 from hvf.files import write_bytes
+from hvf.models.config import check_numbers, config_from_json, config_to_json, outline
 from hvf.models.entry import ModelEntry
 from hvf.registry import MODELS
 
@@ -217,9 +216,17 @@ def _build(
         )
     config_type: Any = getattr(model_class, "config_type", None)
     try:
+        check_numbers(header.config, Path(path).stat().st_size)
         config = config_from_json(config_type, header.config)
+        planned = outline(model_class, config)
+        if planned is not None:
+            _check_weights(path, planned, tensors)
         model = model_class(config)
-    except (TypeError, ValueError) as error:
+    except (TypeError, RuntimeError) as error:
+        raise ValueError(f"{path}: config of {header.model} is not valid: {error}") from error
+    except ValueError as error:
+        if str(path) in str(error):
+            raise
         raise ValueError(f"{path}: config of {header.model} is not valid: {error}") from error
     load_weights(path, model, tensors)
     return model
@@ -263,6 +270,14 @@ def load_weights(
     Raises:
         ValueError: a tensor is missing, unknown, of another shape or not finite; names ``path``.
     """
+    _check_weights(path, model, tensors)
+    model.load_state_dict(dict(tensors))
+
+
+def _check_weights(
+    path: str | Path, model: torch.nn.Module, tensors: Mapping[str, torch.Tensor]
+) -> None:
+    """Refuse ``tensors`` that are not all of the model's weights, in their shapes and finite."""
     own = model.state_dict()
     for name in own.keys() - tensors.keys():
         raise ValueError(f"{path}: lacks the weights {name!r} of {type(model).__name__}")
@@ -272,9 +287,10 @@ def load_weights(
         if tensor.shape != own[name].shape:
             expected, found = tuple(own[name].shape), tuple(tensor.shape)
             raise ValueError(f"{path}: {name} has shape {found}, expected {expected}")
+        if tensor.is_floating_point() != own[name].is_floating_point() or tensor.is_complex():
+            raise ValueError(f"{path}: {name} is {tensor.dtype}, expected {own[name].dtype}")
         if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
             raise ValueError(f"{path}: {name} holds NaN or infinite weights")
-    model.load_state_dict(dict(tensors))
 
 
 def write_tensors(
@@ -309,55 +325,6 @@ def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, s
     return _open(path, weights=True)
 
 
-def config_to_json(model: torch.nn.Module) -> dict[str, Any]:
-    """The config of ``model`` as JSON's types.
-
-    Raises:
-        TypeError: ``model.config`` is not a dataclass.
-    """
-    config = getattr(model, "config", None)
-    if not dataclasses.is_dataclass(config) or isinstance(config, type):
-        raise TypeError(f"model: {type(model).__name__} has no config dataclass")
-    parsed: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
-    return parsed
-
-
-def config_from_json(config_type: type[Any] | None, values: Mapping[str, Any]) -> Any:
-    """Build a dataclass, with its nested dataclasses and tuples, from JSON's types.
-
-    A field that is missing takes its default.
-
-    Raises:
-        TypeError: ``config_type`` is not a dataclass.
-        ValueError: an unknown field, a missing one that has no default, or a value that the
-            dataclass refuses.
-    """
-    if not dataclasses.is_dataclass(config_type):
-        raise TypeError("config_type must be a dataclass")
-    hints = typing.get_type_hints(config_type)
-    fields = {field.name: field for field in dataclasses.fields(config_type)}
-    for name in sorted(values.keys() - fields.keys()):
-        raise ValueError(f"{config_type.__name__} has no field {name!r}")
-    for name, field in fields.items():
-        needed = field.default is field.default_factory is dataclasses.MISSING
-        if needed and name not in values:
-            raise ValueError(f"field {name!r} of {config_type.__name__} is missing")
-    return config_type(**{name: _restore(hints[name], value) for name, value in values.items()})
-
-
-def _restore(hint: Any, value: Any) -> Any:
-    """``value`` as JSON gave it, in the type that the field's ``hint`` asks for."""
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        members = [member for member in typing.get_args(hint) if member is not type(None)]
-        return None if value is None or not members else _restore(members[0], value)
-    if dataclasses.is_dataclass(hint) and isinstance(value, dict):
-        return config_from_json(typing.cast(type[Any], hint), value)
-    if isinstance(value, list):
-        arguments = typing.get_args(hint)
-        return tuple(_restore(arguments[0] if arguments else Any, item) for item in value)
-    return value
-
-
 def _header(path: str | Path, metadata: Mapping[str, str]) -> Header:
     if metadata.get("format") != FORMAT:
         raise ValueError(
@@ -371,7 +338,7 @@ def _header(path: str | Path, metadata: Mapping[str, str]) -> Header:
             environment=metadata["environment"],
             training=json.loads(metadata["training"]),
         )
-    except (KeyError, json.JSONDecodeError) as error:
+    except (KeyError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: damaged checkpoint header ({error!r})") from error
     if not isinstance(header.config, dict) or not isinstance(header.training, dict):
         raise ValueError(f"{path}: damaged checkpoint header")

@@ -21,7 +21,8 @@ import torch
 from rich.console import Console
 
 from hvf.interrupts import Interrupts
-from hvf.models.checkpoint import config_to_json, read_header, save_model
+from hvf.models.checkpoint import read_header, save_model
+from hvf.models.config import config_to_json
 from hvf.training.report import Reporter, Validation
 from hvf.training.state import Memory, TrainingState, load_state, save_state
 

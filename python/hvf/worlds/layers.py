@@ -32,6 +32,7 @@ class LayerWorld(Around):
             goals are compared; 0 for none.
         over_horizon: whether the last predicted frame counts, their sum, or their minimum.
         hold: steps that each action is held for; only frames after a held action count.
+        scene_weight: how often what is behind the arm counts, beside the whole image.
     """
 
     def __init__(
@@ -40,6 +41,7 @@ class LayerWorld(Around):
         blur: float = 0.0,
         over_horizon: OverHorizon = "last",
         hold: int = 1,
+        scene_weight: float = 0.0,
     ) -> None:
         self.dynamics = dynamics.eval().requires_grad_(False)
         cell, perception = dynamics.cell, dynamics.perception
@@ -61,6 +63,7 @@ class LayerWorld(Around):
             blur=blur,
             over_horizon=over_horizon,
             hold=hold,
+            scene_weight=scene_weight,
         )
 
     @property
@@ -153,7 +156,13 @@ class LayerWorld(Around):
 
 def world_of(dynamics: LayerDynamics, planning: Planning) -> LayerWorld:
     """The world that a trained model is, with the cost of plan settings."""
-    return LayerWorld(dynamics, planning.blur, planning.over_horizon, planning.action_repeat)
+    return LayerWorld(
+        dynamics,
+        planning.blur,
+        planning.over_horizon,
+        planning.action_repeat,
+        planning.scene_weight,
+    )
 
 
 def _layers(network: nn.Module) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:

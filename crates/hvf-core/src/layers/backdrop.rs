@@ -1,8 +1,8 @@
 //! What is behind everything, for every place of what slides: a table of images.
 //!
-//! The twin of `hvf.models.desk.backdrop.Backdrop.draw`: bilinear interpolation in the table. Most
-//! of an image is the same wherever the sliders are, so images are kept as numbers of tiles, and
-//! whether two places look the same is seen from the numbers.
+//! The twin of `hvf.models.layers.backdrop.Backdrop.draw`: bilinear interpolation in the table.
+//! Most of an image is the same wherever the sliders are, so images are kept as numbers of tiles,
+//! and whether two places look the same is seen from the numbers.
 
 use std::collections::HashMap;
 

@@ -1,14 +1,14 @@
 //! One step of the desk's dynamics: the hand, then what slides, then what is pushed.
 //!
-//! The twin of `hvf.models.desk.cell.Cell`, for a block of candidates. A part moves only where the
-//! hand's way comes within reach of it, so its network runs for those alone: near pairs of a
+//! The twin of `hvf.models.layers.cell.Cell`, for a block of candidates. A part moves only where
+//! the hand's way comes within reach of it, so its network runs for those alone: near pairs of a
 //! candidate and a part are gathered into full blocks of [`LANES`].
 
 use multiversion::multiversion;
 use ndarray::ArrayView2;
 
-use super::network::{Linear, Network, Room};
 use crate::lanes::{Lanes, LANES};
+use crate::nn::{Linear, Mlp, MlpRoom};
 use crate::{Error, Result};
 
 /// Pixels that count as one in the inputs of the parts' network: motion, and place.
@@ -45,9 +45,9 @@ pub struct Cell {
     roaming: usize,
     memory: usize,
     reach: f32,
-    hand: Network,
-    sliders: Vec<Network>,
-    parts: Network,
+    hand: Mlp,
+    sliders: Vec<Mlp>,
+    parts: Mlp,
     /// `[terms][2]`.
     contact: Vec<[f32; 2]>,
 }
@@ -67,9 +67,9 @@ pub struct Scratch {
     hand_input: Vec<Lanes>,
     slider_input: Vec<Lanes>,
     part_input: Vec<Lanes>,
-    hand: Room,
-    sliders: Vec<Room>,
-    parts: Room,
+    hand: MlpRoom,
+    sliders: Vec<MlpRoom>,
+    parts: MlpRoom,
     /// What the parts' network takes of a block of candidates whatever the part.
     shared: Vec<Vec<Lanes>>,
     /// Block, lane and part of near pairs.
@@ -108,10 +108,10 @@ impl Cell {
             return Err(Error::invalid("roaming", "must be at least 1"));
         }
         let memory = outputs - 3;
-        let slider = |layers: &Vec<Linear<'_>>| Network::new("sliders", layers, g + 3 * a, 1);
-        let hand = Network::new("hand", &weights.hand, 2 * a + g, a)?;
+        let slider = |layers: &Vec<Linear<'_>>| Mlp::new("sliders", layers, g + 3 * a, 1);
+        let hand = Mlp::new("hand", &weights.hand, 2 * a + g, a)?;
         let sliders = weights.sliders.iter().map(slider).collect::<Result<_>>()?;
-        let parts = Network::new("parts", &weights.parts, 7 + 3 * a + memory, outputs)?;
+        let parts = Mlp::new("parts", &weights.parts, 7 + 3 * a + memory, outputs)?;
         let terms = 1 + a + a * (a + 1) / 2;
         if weights.contact.dim() != (terms, 2) {
             return Err(Error::invalid(
@@ -165,7 +165,7 @@ impl Cell {
             slider_input: room(g + 3 * a),
             part_input: room(7 + 3 * a + self.memory),
             hand: self.hand.room(),
-            sliders: self.sliders.iter().map(Network::room).collect(),
+            sliders: self.sliders.iter().map(Mlp::room).collect(),
             parts: self.parts.room(),
             // The hand's place before and after, hand, motion, action.
             shared: vec![room(4 + 3 * a); blocks],
@@ -276,7 +276,7 @@ fn push(
     moving: &mut Moving,
     shared: &[Vec<Lanes>],
     input: &mut [Lanes],
-    room: &mut Room,
+    room: &mut MlpRoom,
 ) {
     let (first, c) = (cell.action_dim + SLIDERS, cell.memory);
     for (to, &(block, lane, part)) in near.iter().enumerate() {

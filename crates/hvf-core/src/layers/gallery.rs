@@ -1,7 +1,7 @@
 //! What the arm looks like: a gallery of its images on a grid of hand positions.
 //!
-//! The twin of `hvf.models.desk.gallery.Gallery.forward`: trilinear interpolation in the grid, tile
-//! by tile, most of which are empty.
+//! The twin of `hvf.models.layers.gallery.Gallery.forward`: trilinear interpolation in the grid,
+//! tile by tile, most of which are empty.
 
 use ndarray::{ArrayView2, ArrayView4};
 

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::frames::LayerFrames;
 use super::painter::{Canvas, Scene};
+use super::scenery::Scenery;
 use super::smoother::{Scratch, Smoother};
 use super::tiles::Tiles;
 use crate::image::{squared_norm_f32, GaussianBlur};
@@ -30,6 +31,8 @@ pub struct Blur {
 pub struct Goals<'a> {
     tiles: Tiles,
     kind: Kind<'a>,
+    /// Weight of what is behind the arm, and each goal of it.
+    scenery: Option<(f64, Vec<Scenery<'a>>)>,
 }
 
 #[derive(Debug)]
@@ -75,15 +78,21 @@ impl Blur {
 }
 
 impl<'a> Goals<'a> {
-    /// The goals at `which` in `frames`, for candidates in `scene`.
+    /// The goals at `which` in `frames`, for candidates in `scene`; what is behind the arm counts
+    /// `scene_weight` times, beside the whole.
     pub fn new(
         scene: &Scene<'_>,
         frames: &'a LayerFrames,
         which: std::ops::Range<usize>,
         tiles: Tiles,
         blur: Option<&'a Blur>,
+        scene_weight: f64,
     ) -> Self {
         let which = which.into_par_iter();
+        let scenery = (scene_weight > 0.0).then(|| {
+            let goals = which.clone().map(|i| Scenery::new(scene, frames, i, tiles));
+            (scene_weight, goals.collect())
+        });
         let kind = match blur {
             None => Kind::Plain(
                 which.map(|i| Plain::new(scene.still(), frames.tiles(i), tiles.values())).collect(),
@@ -95,7 +104,7 @@ impl<'a> Goals<'a> {
                     .collect(),
             ),
         };
-        Self { tiles, kind }
+        Self { tiles, kind, scenery }
     }
 
     /// Room for comparing a frame.
@@ -120,6 +129,10 @@ impl<'a> Goals<'a> {
         let pixels = self.tiles.count() * self.tiles.plane();
         let scale = 1.0 / (255.0 * 255.0 * pixels as f64);
         let mut visit = |goal: usize, sum: f64| {
+            let sum = match &self.scenery {
+                Some((weight, goals)) => sum + weight * goals[goal].distance(canvas, self.tiles),
+                None => sum,
+            };
             visit(goal, ((if sum < 0.0 { 0.0 } else { sum }) * scale) as f32)
         };
         match (&self.kind, &mut room.0) {

@@ -1,8 +1,8 @@
 //! A predicted frame: the start frame without its arm, changed, with the arm before it.
 //!
-//! The twin of `hvf.models.desk.perception.DeskPerception.draw`. What is drawn are the tiles of the
-//! start frame that change, about a third of them: where the backdrop's images differ, where a part
-//! was or is that moved, and where the arm is.
+//! The twin of `hvf.models.layers.perception.LayerPerception.draw`. What is drawn are the tiles of
+//! the start frame that change, about a third of them: where the backdrop's images differ, where a
+//! part was or is that moved, and where the arm is.
 
 use multiversion::multiversion;
 
@@ -71,6 +71,10 @@ pub struct Canvas {
     drawn: Vec<usize>,
     /// These tiles, `[drawn][3][T * T]`.
     values: Vec<f32>,
+    /// Numbers of tiles that differ from the still frame without the arm, too.
+    changed: Vec<usize>,
+    /// These tiles without the arm, `[changed][3][T * T]`.
+    changes: Vec<f32>,
 }
 
 impl Scene<'_> {
@@ -90,6 +94,12 @@ impl Canvas {
     #[inline(always)]
     pub fn drawn(&self, tiles: Tiles) -> impl Iterator<Item = (usize, &[f32])> {
         self.drawn.iter().copied().zip(self.values.chunks_exact(tiles.values()))
+    }
+
+    /// Tiles in which something moved behind the arm, without it: `[3][T * T]`, 0 to 255.
+    #[inline(always)]
+    pub fn behind(&self, tiles: Tiles) -> impl Iterator<Item = (usize, &[f32])> {
+        self.changed.iter().copied().zip(self.changes.chunks_exact(tiles.values()))
     }
 }
 
@@ -155,6 +165,8 @@ impl Painter {
             arm: vec![0.0; 4 * self.tiles.plane()],
             drawn: Vec::with_capacity(count),
             values: vec![0.0; count * values],
+            changed: Vec::with_capacity(count),
+            changes: vec![0.0; count * values],
         }
     }
 
@@ -235,6 +247,7 @@ fn paint(painter: &Painter, scene: &Scene<'_>, state: &[f32], canvas: &mut Canva
     let values = painter.tiles.values();
     painter.find(scene, state, canvas);
     canvas.drawn.clear();
+    canvas.changed.clear();
     for tile in 0..painter.tiles.count() {
         let (slid, pushed) = (canvas.slid[tile], canvas.pushed[tile]);
         let armed = canvas.armed[tile / 64] >> (tile % 64) & 1 != 0;
@@ -252,6 +265,13 @@ fn paint(painter: &Painter, scene: &Scene<'_>, state: &[f32], canvas: &mut Canva
         }
         if pushed {
             painter.push(scene, tile, canvas);
+        }
+        if slid || pushed {
+            let changes = &mut canvas.changes[canvas.changed.len() * values..][..values];
+            for (change, behind) in changes.iter_mut().zip(&canvas.behind) {
+                *change = behind.clamp(0.0, 255.0);
+            }
+            canvas.changed.push(tile);
         }
         let out = &mut canvas.values[canvas.drawn.len() * values..][..values];
         let behind = if slid || pushed {

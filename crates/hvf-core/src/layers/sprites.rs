@@ -1,7 +1,7 @@
 //! The images of the parts that roam, pasted at any place.
 //!
-//! The twin of `hvf.models.desk.perception.DeskPerception.paste`: sprites are read bilinearly, and
-//! are nothing outside.
+//! The twin of `hvf.models.layers.perception.LayerPerception.paste`: sprites are read bilinearly,
+//! and are nothing outside.
 
 use ndarray::ArrayView4;
 

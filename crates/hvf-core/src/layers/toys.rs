@@ -6,6 +6,7 @@ use ndarray::{Array1, Array2, Array4, Array5, ArrayD};
 
 use super::*;
 use crate::image::OverHorizon;
+use crate::nn::Linear;
 
 /// Size of images, sprites; parts that roam; places of the table and of the gallery.
 pub const SIZE: usize = 24;
@@ -135,6 +136,23 @@ pub fn painter(seed: u64, tile: usize) -> Painter {
     let gallery = gallery(seed, tile);
     let backdrop = Backdrop::new(table(seed).view(), gallery.tiles()).unwrap();
     Painter::new(backdrop, sprites(seed), gallery).unwrap()
+}
+
+/// [`world`] with an arm that nobody sees.
+pub fn world_without_arm(seed: u64, tile: usize) -> LayerWorld {
+    let (mut patches, index) = gallery_images(seed, tile);
+    patches.fill(0);
+    let images = GalleryImages {
+        low: [-1.0, -0.8, -1.2],
+        step: [1.1, 0.7, 2.0],
+        places: PLACES,
+        patches: patches.view(),
+        index: index.view(),
+    };
+    let gallery = Gallery::new(&images, SIZE).unwrap();
+    let backdrop = Backdrop::new(table(seed).view(), gallery.tiles()).unwrap();
+    let painter = Painter::new(backdrop, sprites(seed), gallery).unwrap();
+    LayerWorld::new(cell(seed), painter, 0.0, OverHorizon::Last).unwrap()
 }
 
 pub fn world(seed: u64, tile: usize, blur: f64, over_horizon: OverHorizon) -> LayerWorld {

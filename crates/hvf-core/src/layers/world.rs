@@ -42,6 +42,7 @@ pub struct LayerWorld {
     blur: Option<Blur>,
     over_horizon: OverHorizon,
     hold: usize,
+    scene_weight: f64,
 }
 
 /// Room for one chunk of candidates.
@@ -80,7 +81,15 @@ impl LayerWorld {
         let actions = ActionSpace::new(limit.iter().map(|x| -x).collect(), limit)?;
         let tiles = painter.tiles();
         let blur = GaussianBlur::new(blur_sigma, "blur")?.map(|blur| Blur::new(blur, tiles));
-        Ok(Self { cell, painter: Arc::new(painter), actions, blur, over_horizon, hold: 1 })
+        Ok(Self {
+            cell,
+            painter: Arc::new(painter),
+            actions,
+            blur,
+            over_horizon,
+            hold: 1,
+            scene_weight: 0.0,
+        })
     }
 
     /// The same world for actions that are held for `hold` steps each: of the frames of a
@@ -92,6 +101,22 @@ impl LayerWorld {
         match hold {
             0 => Err(Error::invalid("hold", "must be at least 1, got 0")),
             _ => Ok(Self { hold, ..self }),
+        }
+    }
+
+    /// The same world in whose cost what is behind the arm counts once more, `weight` times: the
+    /// squared distance of frames without their arms, where the goal's hides nothing, per pixel and
+    /// without a blur.
+    ///
+    /// # Errors
+    /// A weight that is negative or not finite.
+    pub fn weighing_scene(self, weight: f64) -> Result<Self> {
+        match weight >= 0.0 && weight.is_finite() {
+            false => Err(Error::invalid(
+                "scene_weight",
+                format!("must be finite and not negative, got {weight}"),
+            )),
+            true => Ok(Self { scene_weight: weight, ..self }),
         }
     }
 
@@ -217,7 +242,7 @@ impl LayerWorld {
         goals: &'a LayerFrames,
         which: std::ops::Range<usize>,
     ) -> Goals<'a> {
-        Goals::new(scene, goals, which, self.painter.tiles(), self.blur.as_ref())
+        Goals::new(scene, goals, which, self.painter.tiles(), self.blur.as_ref(), self.scene_weight)
     }
 
     /// States `[B, D, H, X]` that the cell predicts from each of `B` frames for

@@ -3,7 +3,9 @@
 use ndarray::{s, Ix3, Ix4};
 use proptest::prelude::*;
 
-use super::super::toys::{actions, frames, frames_at, world, PARTS, SIZE, STATE};
+use super::super::toys::{
+    actions, frames, frames_at, state, world, world_without_arm, Draws, PARTS, SIZE, STATE,
+};
 use super::*;
 use crate::image::paired_costs;
 
@@ -67,13 +69,69 @@ proptest! {
     }
 
     #[test]
+    fn what_is_behind_the_arm_counts_once_more_where_the_goal_shows_it(
+        seed in 0_u64..1000,
+        tile in prop::sample::select(vec![4_usize, 8, 12]),
+        blur in prop::sample::select(vec![0.0, 2.0]),
+        weight in 0.1_f64..20.0,
+    ) {
+        let mut draws = Draws::new(seed);
+        let shape = (4, SIZE, SIZE, 3);
+        let clean = Array4::from_shape_simple_fn(shape, || draws.between(-0.1, 1.1));
+        let mut images = clean.mapv(|x| (x.clamp(0.0, 1.0) * 255.0).round() as u8);
+        // The arm is before a third of pixels: it differs there, maybe in one colour only.
+        let hidden = Array4::from_shape_simple_fn((4, SIZE, SIZE, 1), || draws.unit() < 0.3);
+        for ((i, row, column, _), _) in hidden.indexed_iter().filter(|(_, hidden)| **hidden) {
+            let colour = (draws.unit() * 3.0) as usize;
+            images[[i, row, column, colour]] ^= 128;
+        }
+        let regions = (4, PARTS, SIZE, SIZE);
+        let regions = Array4::from_shape_simple_fn(regions, || draws.unit() < 0.05);
+        let states: Vec<f32> = (0..4).flat_map(|_| state(&mut draws)).collect();
+        let states = Array2::from_shape_vec((4, STATE), states).unwrap();
+        let both = |world: &LayerWorld| {
+            let all = world
+                .frames(images.view(), clean.view(), regions.view(), states.view())
+                .unwrap();
+            (all.select(&[0, 1]).unwrap(), all.select(&[2, 3]).unwrap())
+        };
+        let actions = batch([2, 5, 2, 3], seed);
+        let world = world(seed, tile, blur, OverHorizon::Last);
+        let (starts, goals) = both(&world);
+        let plain = world.rollout_costs(&starts, &goals, actions.clone().into()).unwrap();
+        let weighing = world.clone().weighing_scene(weight).unwrap();
+        let found = weighing.rollout_costs(&starts, &goals, actions.clone().into()).unwrap();
+
+        let bare = world_without_arm(seed, tile);
+        let (starts, _) = both(&bare);
+        let paths = bare.rollout(&starts, actions.view()).unwrap();
+        for ((b, d), found) in found.indexed_iter() {
+            let start = starts.select(&[b]).unwrap();
+            let drawn = bare.draw(&start, paths.slice(s![b, d, 1..2, ..])).unwrap();
+            let mut sum = 0.0;
+            for ((_, row, column, colour), drawn) in drawn.indexed_iter() {
+                if !hidden[[2 + b, row, column, 0]] {
+                    let goal = clean[[2 + b, row, column, colour]].clamp(0.0, 1.0);
+                    sum += f64::from(drawn - goal).powi(2);
+                }
+            }
+            let expected = f64::from(plain[[b, d]]) + weight * sum / (SIZE * SIZE) as f64;
+            prop_assert!(
+                (f64::from(*found) - expected).abs() <= 1e-4 * expected,
+                "{found}, not {expected}"
+            );
+        }
+    }
+
+    #[test]
     fn shared_costs_are_the_same_to_the_last_bit_as_is_a_candidate_alone(
         seed in 0_u64..1000,
         candidates in 1_usize..150,
         blur in prop::sample::select(vec![0.0, 1.5]),
         over in prop::sample::select(OVER.to_vec()),
+        weight in prop::sample::select(vec![0.0, 3.0]),
     ) {
-        let world = world(seed, 8, blur, over);
+        let world = world(seed, 8, blur, over).weighing_scene(weight).unwrap();
         let goals = frames(&world, 3, seed);
         let starts = goals.select(&[1; 3]).unwrap();
         let one = batch([1, candidates, 4, 3], seed).index_axis_move(Axis(0), 0);

@@ -1,4 +1,4 @@
-//! Small networks for blocks of [`LANES`](crate::lanes::LANES) inputs at once.
+//! Small networks for blocks of [`LANES`] inputs at once.
 //!
 //! A network keeps its weights packed for blocks, is given a block of inputs lane by lane and room
 //! for what its layers give, and allocates nothing. Every lane is worked on by itself, sums run in
@@ -6,18 +6,21 @@
 //! the other lanes, on any number of threads and on every machine.
 //!
 //! What is not a number goes through as such: [`ResidualMlp`] and [`GruCell`] give NaN for it, as
-//! torch does.
+//! torch does; the rectified units of an [`Mlp`] make it zero.
 
 mod activation;
 mod gru;
+mod mlp;
 mod residual;
 
 use ndarray::{ArrayView1, ArrayView2};
 
 pub use activation::Activation;
 pub use gru::{GruCell, GruRoom, GruWeights};
+pub use mlp::{Mlp, MlpRoom};
 pub use residual::{ResidualMlp, ResidualRoom, ResidualWeights};
 
+pub use crate::lanes::{Lanes, LANES};
 use crate::{Error, Result};
 
 /// Weights `[outputs, inputs]` and bias `[outputs]` of a layer, as `torch.nn.Linear` stores them.

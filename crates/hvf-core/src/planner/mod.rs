@@ -1,13 +1,11 @@
 //! Planning: the cross-entropy method, visual MPC and the subgoal search, generic over two traits.
 //!
 //! Bottom up: [`philox`] and [`sampler`] draw candidates from counters, [`cem`] optimises a batch
-//! of problems with them, [`mpc`] lets it choose actions for a [`WorldModel`], and [`search`] lets
+//! of problems with them, [`mpc`] lets it choose actions for a [`WorldModel`], and [`mod@search`] lets
 //! it choose the latents of a [`SubgoalModel`]'s images by what it costs to plan between them.
 
 pub mod cem;
-pub mod distribution;
-mod elites;
-mod likelihood;
+mod hashing;
 pub mod model;
 pub mod mpc;
 pub mod philox;
@@ -15,11 +13,12 @@ pub mod philox;
 mod point_mass;
 #[cfg(test)]
 mod protocol_tests;
-mod rollouts;
 pub mod sampler;
 pub mod search;
 
-pub use cem::{BestOf, CemConfig, IterationStats};
+pub use cem::{BestOf, CemConfig, Covariance, IterationStats};
 pub use model::{ActionSpace, Candidates, Frames, SharedCandidates, SubgoalModel, WorldModel};
-pub use mpc::{ActionInitial, Interrupt, MpcConfig, Plan, Problems};
-pub use search::{search, HvfConfig, Reduction, SearchResult, SearchStats, SegmentCost};
+pub use mpc::{ActionInitial, Interrupt, MpcConfig, Plan, Problems, WarmStart};
+pub use search::{
+    search, HvfConfig, Progress, Reduction, SearchResult, SearchStats, SegmentCost, Watch,
+};

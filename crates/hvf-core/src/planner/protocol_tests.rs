@@ -10,7 +10,7 @@ use super::model::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel
 use super::mpc::{plan, MpcConfig, Plan, Problems};
 use super::point_mass::{noise, PointMass, Points, Positions};
 use super::sampler::{Purpose, Stream};
-use super::search::{search, HvfConfig, Reduction, SearchResult};
+use super::search::{search, HvfConfig, Reduction, SearchResult, Watch};
 use super::CemConfig;
 use crate::Result;
 
@@ -54,7 +54,7 @@ fn goals(count: usize) -> Points {
 
 fn found(config: &HvfConfig, world: &PointMass, seed: u64) -> SearchResult<Points> {
     let (start, goal) = (Points(vec![[0.0; 2]]), Points(vec![[6.0, 3.0]]));
-    search(config, world, &Positions::new(), &start, &goal, seed, &|| Ok(())).unwrap()
+    search(config, world, &Positions::new(), &start, &goal, seed, Watch::nobody()).unwrap()
 }
 
 #[test]

@@ -1,18 +1,24 @@
 //! `HVF`, the search for subgoal images, for Python.
 
+use std::sync::{Mutex, PoisonError};
+
 use hvf_core_rs::planner::{
-    search, CemConfig, Frames, HvfConfig, MpcConfig, Reduction, SegmentCost,
+    search, Frames, HvfConfig, Progress, Reduction, SearchResult, SegmentCost, Watch,
 };
 use pyo3::exceptions::PyValueError;
+use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use super::arguments::{best_name, best_of, seeds};
+use super::arguments::seeds;
 use super::border::{with_border, Axes, Border, FramesOf, Generator};
+use super::budget::{best_name, covariance_name, shrinkage, Budget, SHRINKAGE};
 use super::results::{PyPlans, PySearchResult};
-use super::signals;
 use super::visual_mpc::{keywords, one_frame, PyVisualMpc};
-use crate::arguments::{check_problems, instance, text, Flag, Given, Real, Text, Whole};
+use super::{raised, signals};
+use crate::arguments::{
+    check_problems, instance, text, wrong_type, Flag, Given, Real, Text, Whole,
+};
 use crate::error::to_py;
 use crate::threads::detached;
 
@@ -23,7 +29,7 @@ use crate::threads::detached;
 /// arguments out of range raise a ValueError that names them. The stub file describes every
 /// argument.
 #[pyclass(name = "HVF", module = "hvf_core", frozen, eq, hash)]
-#[derive(Clone, PartialEq)]
+#[derive(Clone, PartialEq, Hash)]
 pub struct PyHvf {
     /// The settings, validated.
     pub config: HvfConfig,
@@ -37,11 +43,16 @@ impl PyHvf {
             *, mpc=None, subgoals=Given::of(2), samples=Given::of(200), elites=Given::of(40),
             iterations=Given::of(5), min_variance=Given::of(1e-3), reduction=text("max"),
             keep_elites=Given::of(0), prune=Given::of(true), share_rollouts=Given::of(true),
-            best=text("all"), segment_cost=text("planned")
+            best=text("all"), segment_cost=text("planned"), momentum=Given::of(0.0),
+            samples_decay=Given::of(1.0), temperature=None, min_std=Given::of(0.0),
+            covariance=text("diagonal"), shrinkage=Given::of(SHRINKAGE)
         ),
         text_signature = "(*, mpc=None, subgoals=2, samples=200, elites=40, iterations=5, \
                           min_variance=0.001, reduction='max', keep_elites=0, prune=True, \
-                          share_rollouts=True, best='all', segment_cost='planned')"
+                          share_rollouts=True, best='all', segment_cost='planned', \
+                          momentum=0.0, samples_decay=1.0, \
+                          temperature=None, min_std=0.0, covariance='diagonal', \
+                          shrinkage=0.1)"
     )]
     #[allow(clippy::too_many_arguments)]
     fn new(
@@ -57,6 +68,12 @@ impl PyHvf {
         share_rollouts: Flag,
         best: Text,
         segment_cost: Text,
+        momentum: Real,
+        samples_decay: Real,
+        temperature: Option<&Bound<'_, PyAny>>,
+        min_std: Real,
+        covariance: Text,
+        shrinkage: Real,
     ) -> PyResult<Self> {
         let reduction = match &*reduction.get("reduction")? {
             "max" => Reduction::Max,
@@ -76,25 +93,30 @@ impl PyHvf {
                 )))
             }
         };
-        let config = HvfConfig {
-            mpc: match mpc {
-                None => MpcConfig::default(),
-                Some(mpc) => instance::<PyVisualMpc>("mpc", mpc)?.get().config.clone(),
-            },
-            subgoals: subgoals.count("subgoals")?,
-            cem: CemConfig {
-                samples: samples.count("samples")?,
-                elites: elites.count("elites")?,
-                iterations: iterations.count("iterations")?,
-                min_variance: min_variance.get("min_variance")?,
-                keep_elites: keep_elites.count("keep_elites")?,
-                best: best_of(best)?,
-            },
-            reduction,
-            segment_cost,
-            prune: prune.get("prune")?,
-            share_rollouts: share_rollouts.get("share_rollouts")?,
+        let budget = Budget {
+            samples,
+            elites,
+            iterations,
+            min_variance,
+            keep_elites,
+            best,
+            momentum,
+            samples_decay,
+            temperature,
+            min_std,
+            covariance,
+            shrinkage,
         };
+        let mut config = HvfConfig::default();
+        if let Some(mpc) = mpc {
+            config.mpc = instance::<PyVisualMpc>("mpc", mpc)?.get().config.clone();
+        }
+        config.subgoals = subgoals.count("subgoals")?;
+        config.cem = budget.config()?;
+        config.reduction = reduction;
+        config.segment_cost = segment_cost;
+        config.prune = prune.get("prune")?;
+        config.share_rollouts = share_rollouts.get("share_rollouts")?;
         config.validate().map_err(to_py)?;
         Ok(Self { config })
     }
@@ -105,9 +127,14 @@ impl PyHvf {
     /// the methods of `hvf.protocols.SubgoalModel` (None will do for `subgoals=0`). The result does not
     /// depend on the number of threads, nor on `prune` and `share_rollouts`. With
     /// `segment_cost='likelihood'` only the segments of the answer are planned.
+    ///
+    /// `progress(iteration, iterations, cost)` is called after every iteration, from 1, of at most
+    /// `iterations`, with the lowest cost so far. An exception that ends a search after its first
+    /// iteration (KeyboardInterrupt, or any of `progress`) has what was found until then as
+    /// `exception.partial`: a `SearchResult`.
     #[pyo3(
-        signature = (model, generator, start, goal, seed=Given::of(0)),
-        text_signature = "($self, model, generator, start, goal, seed=0)"
+        signature = (model, generator, start, goal, seed=Given::of(0), progress=None),
+        text_signature = "($self, model, generator, start, goal, seed=0, progress=None)"
     )]
     fn search(
         &self,
@@ -116,13 +143,14 @@ impl PyHvf {
         start: &Bound<'_, PyAny>,
         goal: &Bound<'_, PyAny>,
         seed: Whole,
+        progress: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<PySearchResult> {
         let seed = seed.seed("seed")?;
         with_border!(model, |border| {
             let start = one_frame(&border, "start", start)?;
             let goal = one_frame(&border, "goal", goal)?;
             let generator = Generator::new(generator, &border, self.config.subgoals)?;
-            self.solve(model.py(), &border, &generator, &start, &goal, seed)
+            self.solve(model.py(), &border, &generator, [&start, &goal], seed, progress)
         })
     }
 
@@ -156,7 +184,7 @@ impl PyHvf {
                 .map(|(episode, seed)| {
                     let start = frame_of(&starts, episode)?;
                     let goal = frame_of(&goals, episode)?;
-                    self.solve(model.py(), &border, &generator, &start, &goal, seed)
+                    self.solve(model.py(), &border, &generator, [&start, &goal], seed, None)
                 })
                 .collect()
         })
@@ -169,6 +197,28 @@ impl PyHvf {
     #[getter]
     fn subgoals(&self) -> usize {
         self.config.subgoals
+    }
+    #[getter]
+    fn reduction(&self) -> &'static str {
+        match self.config.reduction {
+            Reduction::Max => "max",
+            Reduction::Mean => "mean",
+        }
+    }
+    #[getter]
+    fn prune(&self) -> bool {
+        self.config.prune
+    }
+    #[getter]
+    fn share_rollouts(&self) -> bool {
+        self.config.share_rollouts
+    }
+    #[getter]
+    fn segment_cost(&self) -> &'static str {
+        match self.config.segment_cost {
+            SegmentCost::Planned => "planned",
+            SegmentCost::Likelihood => "likelihood",
+        }
     }
     #[getter]
     fn samples(&self) -> usize {
@@ -187,34 +237,36 @@ impl PyHvf {
         self.config.cem.min_variance
     }
     #[getter]
-    fn reduction(&self) -> &'static str {
-        match self.config.reduction {
-            Reduction::Max => "max",
-            Reduction::Mean => "mean",
-        }
-    }
-    #[getter]
     fn keep_elites(&self) -> usize {
         self.config.cem.keep_elites
     }
     #[getter]
-    fn prune(&self) -> bool {
-        self.config.prune
-    }
-    #[getter]
-    fn share_rollouts(&self) -> bool {
-        self.config.share_rollouts
-    }
-    #[getter]
     fn best(&self) -> &'static str {
-        best_name(self.config.cem.best)
+        best_name(&self.config.cem)
     }
     #[getter]
-    fn segment_cost(&self) -> &'static str {
-        match self.config.segment_cost {
-            SegmentCost::Planned => "planned",
-            SegmentCost::Likelihood => "likelihood",
-        }
+    fn momentum(&self) -> f64 {
+        self.config.cem.momentum
+    }
+    #[getter]
+    fn samples_decay(&self) -> f64 {
+        self.config.cem.samples_decay
+    }
+    #[getter]
+    fn temperature(&self) -> Option<f64> {
+        self.config.cem.temperature
+    }
+    #[getter]
+    fn min_std(&self) -> f64 {
+        self.config.cem.min_std
+    }
+    #[getter]
+    fn covariance(&self) -> &'static str {
+        covariance_name(&self.config.cem)
+    }
+    #[getter]
+    fn shrinkage(&self) -> f64 {
+        shrinkage(&self.config.cem)
     }
 
     /// The arguments that make an equal object, for copies and pickles.
@@ -235,6 +287,12 @@ impl PyHvf {
             "share_rollouts",
             "best",
             "segment_cost",
+            "momentum",
+            "samples_decay",
+            "temperature",
+            "min_std",
+            "covariance",
+            "shrinkage",
         ] {
             arguments.set_item(name, slf.getattr(name)?)?;
         }
@@ -260,23 +318,62 @@ impl PyHvf {
         py: Python<'_>,
         border: &B,
         generator: &Generator<'_, B>,
-        start: &FramesOf<B>,
-        goal: &FramesOf<B>,
+        [start, goal]: [&FramesOf<B>; 2],
         seed: u64,
+        progress: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<PySearchResult>
     where
         FramesOf<B>: Sync,
     {
+        let progress = progress.filter(|progress| !progress.is_none());
+        if let Some(progress) = progress.filter(|progress| !progress.is_callable()) {
+            return Err(wrong_type(
+                "progress",
+                "None or progress(iteration, iterations, cost)",
+                progress,
+            ));
+        }
+        let told = progress.map(|progress| progress.clone().unbind());
+        let tell = |Progress { iteration, iterations, cost, .. }| match &told {
+            None => Ok(()),
+            Some(told) => Python::attach(|py| told.call1(py, (iteration, iterations, cost)))
+                .map(drop)
+                .map_err(raised),
+        };
+        let partial = Mutex::new(None);
+        let keep = |found| {
+            *partial.lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
+        };
         let found = detached(py, || {
-            search(&self.config, border.world(), generator, start, goal, seed, &signals())
-        })?
-        .map_err(|error| border.error(py, error))?;
-        Ok(PySearchResult {
-            subgoals: border.write(py, found.subgoals)?.unbind(),
-            cost: found.cost,
-            plans: Py::new(py, PyPlans { inner: found.plans })?,
-            latents: found.latents,
-            history: found.history,
-        })
+            let watch = Watch { interrupt: &signals(), progress: &tell, partial: &keep };
+            search(&self.config, border.world(), generator, start, goal, seed, watch)
+        })?;
+        let partial = partial.into_inner().unwrap_or_else(PoisonError::into_inner);
+        match found {
+            Ok(found) => written(py, border, found),
+            Err(error) => {
+                let exception = border.error(py, error);
+                if let Some(partial) = partial {
+                    let partial = Bound::new(py, written(py, border, partial)?)?;
+                    exception.value(py).setattr(intern!(py, "partial"), partial)?;
+                }
+                Err(exception)
+            }
+        }
     }
+}
+
+/// What a search found, as Python sees it.
+fn written<B: Border>(
+    py: Python<'_>,
+    border: &B,
+    found: SearchResult<FramesOf<B>>,
+) -> PyResult<PySearchResult> {
+    Ok(PySearchResult {
+        subgoals: border.write(py, found.subgoals)?.unbind(),
+        cost: found.cost,
+        plans: Py::new(py, PyPlans { inner: found.plans })?,
+        latents: found.latents,
+        history: found.history,
+    })
 }

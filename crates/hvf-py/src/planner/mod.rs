@@ -2,12 +2,12 @@
 //!
 //! [`border`] takes frames in and out, [`native`] finds the world behind a Python object and
 //! [`pace`] lets Ctrl-C end its calls, [`model`] makes any Python object a world model and
-//! [`returned_costs`] reads its costs, [`visual_mpc`] and [`hvf`] are the planners, which
-//! [`hashing`] makes keys of dictionaries, [`results`] what they return.
+//! [`returned_costs`] reads its costs, [`visual_mpc`] and [`hvf`] are the planners, [`budget`] what
+//! their arguments have in common, [`results`] what they return.
 
 pub(crate) mod arguments;
 mod border;
-mod hashing;
+mod budget;
 mod hvf;
 mod model;
 mod native;

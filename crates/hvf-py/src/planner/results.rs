@@ -1,8 +1,10 @@
 //! What the planners return.
 
 use hvf_core_rs::planner::{IterationStats, Plan, SearchStats};
-use ndarray::{stack, Array1, Array2, Array3, Axis};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
+use ndarray::{
+    stack, Array, Array1, Array2, Array3, Array4, ArrayView, Axis, Dimension, RemoveAxis,
+};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyIterator, PyList};
 
@@ -41,6 +43,13 @@ impl PyPlan {
         self.inner.cost
     }
 
+    /// Best candidates of the last iteration, best first, float32 `[S, H, A]` with `S` the planner's
+    /// `shift_elites`: what a next plan with this `warm_start` begins with.
+    #[getter]
+    fn elites<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f32>> {
+        self.inner.elites.clone().into_pyarray(py)
+    }
+
     /// Iterations that were run, `I`.
     #[getter]
     fn iterations(&self) -> usize {
@@ -71,15 +80,33 @@ impl PyPlan {
 /// The best actions found for every problem of a batch.
 #[pyclass(name = "Plans", module = "hvf_core", frozen)]
 pub struct PyPlans {
-    /// The plans, at least one.
+    /// The plans; none of a search by likelihood that was interrupted.
     pub inner: Vec<Plan>,
+}
+
+/// Arrays of one shape as one, `[B, ..]`; of none, one without any values.
+fn stacked<'a, D: Dimension>(
+    arrays: impl Iterator<Item = ArrayView<'a, f32, D>>,
+) -> Array<f32, D::Larger>
+where
+    D::Larger: RemoveAxis,
+{
+    let views: Vec<_> = arrays.collect();
+    if views.is_empty() {
+        return Array::default(D::Larger::zeros(D::NDIM.unwrap_or(0) + 1));
+    }
+    stack(Axis(0), &views).expect("plans of one batch have one shape")
 }
 
 impl PyPlans {
     /// Actions of all plans, `[B, H, A]`.
     pub fn stacked_actions(&self) -> Array3<f32> {
-        let views: Vec<_> = self.inner.iter().map(|plan| plan.actions.view()).collect();
-        stack(Axis(0), &views).expect("plans of one batch have one shape")
+        stacked(self.inner.iter().map(|plan| plan.actions.view()))
+    }
+
+    /// Best candidates of all plans, `[B, S, H, A]`.
+    pub fn stacked_elites(&self) -> Array4<f32> {
+        stacked(self.inner.iter().map(|plan| plan.elites.view()))
     }
 }
 
@@ -89,6 +116,12 @@ impl PyPlans {
     #[getter]
     fn actions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f32>> {
         self.stacked_actions().into_pyarray(py)
+    }
+
+    /// As of `Plan`, float32 `[B, S, H, A]`.
+    #[getter]
+    fn elites<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray4<f32>> {
+        self.stacked_elites().into_pyarray(py)
     }
 
     /// Predicted costs, float32 `[B]`.

@@ -297,6 +297,8 @@ class EpisodeFile:
                 names.append("states")
             n, t = metadata.episodes, metadata.steps
             size = self.path.stat().st_size
+            for name in names if first else [*names, "lengths"]:
+                _check_own(self._file, name)
             for name in names:
                 array = self._file[name]
                 _check_array(name, array.shape, array.dtype, n, t)
@@ -326,6 +328,15 @@ def _sniff(path: Path) -> bool:
 
 HVF = Format("hvf", (".h5", ".hdf5"), _sniff, lambda path, camera: EpisodeFile(path, camera=camera))
 """This format, for the registry."""
+
+
+def _check_own(file: Any, name: str) -> None:
+    """Refuse what is in another file: a file of data has no business to open it."""
+    array = file[name]
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        raise ValueError(f"{name} is a link")
+    if array.external or array.is_virtual:
+        raise ValueError(f"{name} points to another file")
 
 
 def _check_array(name: str, shape: tuple[int, ...], dtype: Any, n: int, t: int) -> None:

@@ -4,10 +4,10 @@ use std::borrow::Cow;
 
 use ndarray::{Array, Array2, Array3, Axis, Dimension, Ix3, Ix4};
 
-use super::cem::{Call, Objective};
-use super::model::{Candidates, Frames, SharedCandidates, WorldModel};
-use super::mpc::{Interrupt, MpcConfig, Problems};
-use super::sampler::draw_seeds;
+use super::{Interrupt, MpcConfig, Problems};
+use crate::planner::cem::{Call, Objective};
+use crate::planner::model::{Candidates, Frames, SharedCandidates, WorldModel};
+use crate::planner::sampler::draw_seeds;
 use crate::Result;
 
 /// Most values of actions in one call, whatever a model wants, where more than one problem is in
@@ -37,7 +37,8 @@ impl<W: WorldModel> Rollouts<'_, W> {
         if !self.world.uses_seeds() {
             return None;
         }
-        let mut seeds = Array2::zeros((problems.len(), self.config.cem.samples));
+        let samples = self.config.cem.samples_in(iteration);
+        let mut seeds = Array2::zeros((problems.len(), samples));
         for (mut row, &problem) in seeds.outer_iter_mut().zip(problems) {
             let stream = self.problems.streams[problem].in_iteration(iteration);
             draw_seeds(stream, iteration, row.as_slice_mut().expect("standard layout"));

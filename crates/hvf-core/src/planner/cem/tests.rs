@@ -1,5 +1,6 @@
 #![allow(clippy::unwrap_used)]
 
+use super::distribution::{Bounds, Gaussian, Initial};
 use super::*;
 use crate::planner::sampler::Purpose;
 use proptest::prelude::*;
@@ -37,9 +38,10 @@ fn stream(problem: u64) -> Stream {
     Stream { seed: 11, purpose: Purpose::Actions, problem }
 }
 
-fn box_of(dimensions: usize, size: f32) -> (Bounds, Initial) {
+fn box_of(dimensions: usize, size: f32) -> (Space, Start) {
     let (low, high) = (vec![-size; dimensions], vec![size; dimensions]);
-    (Bounds { low: low.clone(), high: high.clone() }, Initial::Uniform { low, high })
+    let bounds = Bounds { low: low.clone(), high: high.clone() };
+    (bounds.into(), Initial::Uniform { low, high }.into())
 }
 
 #[test]
@@ -117,12 +119,13 @@ fn later_iterations_draw_from_the_refitted_gaussian() {
     };
     let (_, initial) = box_of(1, 2.0);
     let mut objective = Quadratic::new(vec![vec![0.7]]);
-    minimise(&config, &Bounds::unbounded(1), &[initial], &[stream(0)], &mut objective).unwrap();
+    minimise(&config, &Bounds::unbounded(1).into(), &[initial], &[stream(0)], &mut objective)
+        .unwrap();
     let mut first: Vec<f32> = objective.seen[0].2.iter().copied().collect();
     first.sort_by(|a, b| (a - 0.7).abs().partial_cmp(&(b - 0.7).abs()).unwrap());
-    let fit = DiagonalGaussian::fit(&first[..50], 1);
+    let fit = Gaussian::fit(&first[..50], &[1.0; 50], 1);
     let drawn: Vec<f32> = objective.seen[1].2.iter().copied().collect();
-    let second = DiagonalGaussian::fit(&drawn, 1);
+    let second = Gaussian::fit(&drawn, &vec![1.0; drawn.len()], 1);
     assert!((second.mean[0] - fit.mean[0]).abs() < 5.0 * fit.std[0] / 5000f32.sqrt());
     assert!((second.std[0] / fit.std[0] - 1.0).abs() < 5.0 / (2.0 * 5000f32).sqrt());
 }
@@ -237,6 +240,7 @@ proptest! {
             min_variance: 0.02,
             keep_elites,
             best: BestOf::Last,
+            ..CemConfig::default()
         };
         let (bounds, initial) = box_of(2, 2.0);
         let initial = [initial];

@@ -1,6 +1,10 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use std::cell::RefCell;
+
+use crate::planner::cem::{BestOf, CemConfig, Covariance};
+use crate::planner::mpc::MpcConfig;
 use crate::planner::point_mass::{PointMass, Points, Positions};
 use ndarray::{ArrayView2, Axis};
 use proptest::prelude::*;
@@ -22,7 +26,7 @@ fn run_in(
     seed: u64,
 ) -> Result<SearchResult<Points>> {
     let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
-    search(config, world, generator, &start, &goal, seed, &|| Ok(()))
+    search(config, world, generator, &start, &goal, seed, Watch::nobody())
 }
 
 fn run(config: &HvfConfig, seed: u64) -> SearchResult<Points> {
@@ -228,7 +232,9 @@ fn several_starts_or_goals_are_refused() {
     let (world, generator) = (PointMass::new(), Positions::new());
     let config = small(1);
     let go = |start: &Points, goal: &Points| {
-        search(&config, &world, &generator, start, goal, 0, &|| Ok(())).unwrap_err().to_string()
+        search(&config, &world, &generator, start, goal, 0, Watch::nobody())
+            .unwrap_err()
+            .to_string()
     };
     assert!(go(&two, &one).starts_with("start"));
     assert!(go(&one, &two).starts_with("goal"));
@@ -261,4 +267,99 @@ proptest! {
         });
         assert_same(&found, &expected);
     }
+}
+
+#[test]
+fn watchers_are_told_how_the_search_stands_after_every_iteration() {
+    for segment_cost in [SegmentCost::Planned, SegmentCost::Likelihood] {
+        let config = HvfConfig { segment_cost, ..small(2) };
+        let told = RefCell::new(Vec::new());
+        let note = |progress: Progress| {
+            told.borrow_mut().push((progress.iteration, progress.iterations, progress.cost));
+            Ok(())
+        };
+        let watch = Watch {
+            progress: &note,
+            partial: &|_| panic!("nothing ended the search"),
+            ..Watch::nobody()
+        };
+        let found = watched(&config, watch).unwrap();
+        let mut best = f32::INFINITY;
+        let expected = found.history.iter().enumerate().map(|(n, stats)| {
+            best = best.min(stats.costs.best);
+            (n + 1, 3, best)
+        });
+        assert_eq!(told.into_inner(), expected.collect::<Vec<_>>());
+    }
+}
+
+fn watched(config: &HvfConfig, watch: Watch<'_, Points>) -> Result<SearchResult<Points>> {
+    let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
+    search(config, &PointMass::new(), &Positions::new(), &start, &goal, 3, watch)
+}
+
+#[test]
+fn an_error_leaves_what_was_found_by_the_last_finished_iteration() {
+    for segment_cost in [SegmentCost::Planned, SegmentCost::Likelihood] {
+        let config = HvfConfig { segment_cost, ..small(2) };
+        for ends_at in 1..=3 {
+            let partial = RefCell::new(None);
+            let end = |progress: Progress| match progress.iteration == ends_at {
+                true => Err(Error::Interrupted),
+                false => Ok(()),
+            };
+            let keep = |found| *partial.borrow_mut() = Some(found);
+            let watch = Watch { progress: &end, partial: &keep, ..Watch::nobody() };
+            assert!(matches!(watched(&config, watch).unwrap_err(), Error::Interrupted));
+            let found = partial.into_inner().unwrap();
+            // What a search with no more iterations answers.
+            let mut shorter = config.clone();
+            shorter.cem.iterations = ends_at;
+            let expected = watched(&shorter, Watch::nobody()).unwrap();
+            assert_eq!((found.subgoals, found.latents), (expected.subgoals, expected.latents));
+            assert_eq!((found.cost, found.history), (expected.cost, expected.history));
+            match segment_cost {
+                SegmentCost::Planned => assert_eq!(found.plans, expected.plans),
+                SegmentCost::Likelihood => assert!(found.plans.is_empty()),
+            }
+        }
+    }
+}
+
+#[test]
+fn an_error_in_the_first_iteration_leaves_nothing() {
+    let stop = || Err(Error::Interrupted);
+    let watch = Watch {
+        interrupt: &stop,
+        partial: &|_| panic!("no iteration was finished"),
+        ..Watch::nobody()
+    };
+    assert!(watched(&small(1), watch).is_err());
+}
+
+#[test]
+fn options_of_the_search_change_nothing_about_its_savings() {
+    let covariance = Covariance::Full { shrinkage: 0.2 };
+    for samples_decay in [1.0, 1.5] {
+        let mut config = small(2);
+        config.cem = CemConfig {
+            covariance,
+            samples_decay,
+            momentum: 0.1,
+            temperature: Some(0.5),
+            keep_elites: 2,
+            min_std: 0.05,
+            ..config.cem
+        };
+        let plain = HvfConfig { prune: false, share_rollouts: false, ..config.clone() };
+        assert_same(&run(&config, 1), &run(&plain, 1));
+    }
+}
+
+#[test]
+fn the_short_method_is_the_search_that_nobody_watches() {
+    let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
+    let config = small(2);
+    let found = config.search(&PointMass::new(), &Positions::new(), &start, &goal, 4).unwrap();
+    assert_same(&found, &run(&config, 4));
 }

@@ -1,20 +1,20 @@
-//! A few linear layers with rectified units between them, for blocks of inputs.
+//! A few linear layers with rectified units between them.
 
+use super::{check, Linear};
 use crate::lanes::{Lanes, Layer};
-pub use crate::nn::Linear;
 use crate::{Error, Result};
 
 /// Linear layers, each but the last followed by rectified units.
 #[derive(Clone, Debug)]
-pub struct Network {
+pub struct Mlp {
     layers: Vec<Layer>,
 }
 
 /// Room for what the layers of a network give, one block.
 #[derive(Clone, Debug)]
-pub struct Room(Vec<Vec<Lanes>>);
+pub struct MlpRoom(Vec<Vec<Lanes>>);
 
-impl Network {
+impl Mlp {
     /// Packs `layers`, which take `inputs` numbers and give `outputs`.
     ///
     /// # Errors
@@ -27,32 +27,9 @@ impl Network {
         outputs: usize,
     ) -> Result<Self> {
         let mut expected = inputs;
-        for (number, (weights, bias)) in layers.iter().enumerate() {
-            let (rows, columns) = weights.dim();
-            let last = number + 1 == layers.len();
-            if columns != expected || rows == 0 || (last && rows != outputs) {
-                let rows = if last { outputs.to_string() } else { "hidden".into() };
-                return Err(Error::invalid(
-                    argument,
-                    format!(
-                        "layer {number}: expected weights [{rows}, {expected}], got {:?}",
-                        weights.shape()
-                    ),
-                ));
-            }
-            if bias.len() != rows {
-                return Err(Error::invalid(
-                    argument,
-                    format!("layer {number}: expected a bias [{rows}], got {:?}", bias.shape()),
-                ));
-            }
-            if !weights.iter().chain(bias).all(|x| x.is_finite()) {
-                return Err(Error::invalid(
-                    argument,
-                    format!("layer {number}: weights must be finite"),
-                ));
-            }
-            expected = rows;
+        for (number, layer) in layers.iter().enumerate() {
+            let gives = (number + 1 == layers.len()).then_some(outputs);
+            expected = check(argument, &format!("layer {number}: "), layer, expected, gives)?;
         }
         if layers.is_empty() {
             return Err(Error::invalid(argument, "must have at least one layer"));
@@ -62,13 +39,13 @@ impl Network {
     }
 
     /// Room for one block.
-    pub fn room(&self) -> Room {
-        Room(self.layers.iter().map(Layer::room).collect())
+    pub fn room(&self) -> MlpRoom {
+        MlpRoom(self.layers.iter().map(Layer::room).collect())
     }
 
     /// What the network makes of a block of `inputs`.
     #[inline(always)]
-    pub fn apply<'r>(&self, inputs: &[Lanes], room: &'r mut Room) -> &'r [Lanes] {
+    pub fn apply<'r>(&self, inputs: &[Lanes], room: &'r mut MlpRoom) -> &'r [Lanes] {
         let mut before: &[Lanes] = &[];
         let last = self.layers.len() - 1;
         for (number, (layer, out)) in self.layers.iter().zip(&mut room.0).enumerate() {
@@ -82,15 +59,23 @@ impl Network {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::super::toys::{layers, views, Draws};
     use super::*;
     use crate::lanes::LANES;
+    use crate::nn::toys::{self, Draws};
+
+    fn layers(draws: &mut Draws, sizes: &[usize]) -> Vec<toys::Layer> {
+        sizes.windows(2).map(|pair| draws.layer(pair[1], pair[0])).collect()
+    }
+
+    fn views(layers: &[toys::Layer]) -> Vec<Linear<'_>> {
+        layers.iter().map(|(weights, bias)| (weights.view(), bias.view())).collect()
+    }
 
     #[test]
     fn a_network_is_its_layers_one_after_the_other() {
         let mut draws = Draws::new(1);
         let made = layers(&mut draws, &[5, 7, 6, 3]);
-        let network = Network::new("hand", &views(&made), 5, 3).unwrap();
+        let network = Mlp::new("hand", &views(&made), 5, 3).unwrap();
         let inputs: Vec<Lanes> =
             (0..5).map(|_| std::array::from_fn(|_| draws.between(-2.0, 2.0))).collect();
         let mut room = network.room();
@@ -115,7 +100,7 @@ mod tests {
         let mut draws = Draws::new(1);
         let mut made = layers(&mut draws, &[5, 7, 3]);
         let refused = |layers: &[Linear<'_>], inputs, outputs| {
-            let said = Network::new("hand", layers, inputs, outputs).unwrap_err().to_string();
+            let said = Mlp::new("hand", layers, inputs, outputs).unwrap_err().to_string();
             assert!(said.starts_with("hand: "), "{said}");
         };
         refused(&views(&made), 4, 3);

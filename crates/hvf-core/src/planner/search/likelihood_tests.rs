@@ -2,7 +2,7 @@
 
 use crate::planner::cem::CemConfig;
 use crate::planner::point_mass::{PointMass, Points, Positions};
-use crate::planner::search::{search, HvfConfig, Reduction, SearchResult, SegmentCost};
+use crate::planner::search::{search, HvfConfig, Reduction, SearchResult, SegmentCost, Watch};
 use crate::Result;
 
 const START: [f32; 2] = [0.0, 0.0];
@@ -15,7 +15,7 @@ fn config(subgoals: usize) -> HvfConfig {
 
 fn run(config: &HvfConfig, world: &PointMass, seed: u64) -> Result<SearchResult<Points>> {
     let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
-    search(config, world, &Positions::new(), &start, &goal, seed, &|| Ok(()))
+    search(config, world, &Positions::new(), &start, &goal, seed, Watch::nobody())
 }
 
 /// The longest of three segments is shortest where they are equal parts of the straight way.
@@ -52,7 +52,7 @@ fn only_the_segments_of_the_answer_are_planned() {
 fn costs_of_the_wrong_shape_and_generators_that_do_not_know_are_errors() {
     let (start, goal) = (Points(vec![START]), Points(vec![GOAL]));
     let short = Positions { costs_missing: 1, ..Positions::new() };
-    let error = search(&config(1), &PointMass::new(), &short, &start, &goal, 0, &|| Ok(()));
+    let error = search(&config(1), &PointMass::new(), &short, &start, &goal, 0, Watch::nobody());
     let said = error.unwrap_err().to_string();
     assert!(said.contains("segment_costs must give shape [200, 2], got [199, 2]"), "{said}");
 
@@ -65,7 +65,7 @@ fn costs_of_the_wrong_shape_and_generators_that_do_not_know_are_errors() {
             Ok(Points(vec![START; latents.dim().0 * latents.dim().1]))
         }
     }
-    let error = search(&config(1), &PointMass::new(), &Mute, &start, &goal, 0, &|| Ok(()));
+    let error = search(&config(1), &PointMass::new(), &Mute, &start, &goal, 0, Watch::nobody());
     assert!(error.unwrap_err().to_string().contains("segment_cost"));
 }
 

@@ -1,9 +1,13 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use std::cell::RefCell;
+
+use crate::planner::cem::{CemConfig, Covariance};
+use crate::planner::model::{ActionSpace, Candidates};
 use crate::planner::point_mass::{PointMass, Points};
-use crate::planner::sampler::Purpose;
-use ndarray::Array3;
+use crate::planner::sampler::{Purpose, Stream};
+use ndarray::{Array3, ArrayView2, Axis};
 use proptest::prelude::*;
 
 fn stream(seed: u64, problem: u64) -> Stream {
@@ -19,7 +23,7 @@ fn solve(
     warm_start: Option<&Array3<f32>>,
     share_rollouts: bool,
 ) -> Result<Vec<Plan>> {
-    let warm_start = warm_start.map(|plans| plans.view());
+    let warm_start = warm_start.map(WarmStart::from);
     let describe = |problem: usize| format!("problem {problem}");
     let problems =
         Problems { starts, goals, streams, warm_start, share_rollouts, describe: &describe };
@@ -262,4 +266,128 @@ proptest! {
             prop_assert_eq!(&alone[0], expected);
         }
     }
+}
+
+/// One plan, and every candidate that the world was asked about, `[I, D, H, A]` flattened.
+fn watched(config: &MpcConfig, warm_start: Option<WarmStart<'_>>) -> Result<(Plan, Vec<f32>)> {
+    let world = Watched { inner: PointMass::new(), seen: RefCell::default() };
+    let (starts, goals) = (Points(vec![[0.0; 2]]), Points(vec![[2.0, -1.0]]));
+    let problems = Problems {
+        starts: &starts,
+        goals: &goals,
+        streams: &[stream(4, 0)],
+        warm_start,
+        share_rollouts: true,
+        describe: &|problem| format!("problem {problem}"),
+    };
+    let plan = plan(config, &world, &problems, &|| Ok(()))?.remove(0);
+    Ok((plan, world.seen.into_inner()))
+}
+
+/// A point mass that remembers its candidates.
+struct Watched {
+    inner: PointMass,
+    seen: RefCell<Vec<f32>>,
+}
+
+impl WorldModel for Watched {
+    type Frames = Points;
+
+    fn action_space(&self) -> &ActionSpace {
+        self.inner.action_space()
+    }
+
+    fn rollout_costs(
+        &self,
+        starts: &Points,
+        goals: &Points,
+        candidates: Candidates,
+    ) -> Result<Array2<f32>> {
+        self.seen.borrow_mut().extend(candidates.actions.iter());
+        self.inner.rollout_costs(starts, goals, candidates)
+    }
+}
+
+#[test]
+fn elites_of_a_plan_are_the_best_candidates_of_its_last_iteration() {
+    let cem = CemConfig { iterations: 2, ..CemConfig::default() };
+    let config =
+        MpcConfig { shift_elites: 3, horizon: 4, action_repeat: 2, cem, ..MpcConfig::default() };
+    let (plan, seen) = watched(&config, None).unwrap();
+    let cost = |actions: &[f32]| {
+        let actions = ArrayView2::from_shape((4, 2), actions).unwrap();
+        PointMass::new().cost([0.0; 2], [2.0, -1.0], actions)
+    };
+    let mut last: Vec<&[f32]> = seen[200 * 8..].chunks(8).collect();
+    last.sort_by(|a, b| cost(a).total_cmp(&cost(b)));
+    assert_eq!(plan.elites.dim(), (3, 4, 2));
+    assert_eq!(plan.elites.as_slice().unwrap(), last[..3].concat());
+}
+
+#[test]
+fn a_warm_start_begins_with_the_shifted_elites() {
+    let config = MpcConfig { shift_elites: 2, horizon: 3, ..MpcConfig::default() };
+    let (before, _) = watched(&config, None).unwrap();
+    let [actions, elites] = [before.actions.clone().into_dyn(), before.elites.clone().into_dyn()];
+    let actions = actions.insert_axis(Axis(0)).into_dimensionality().unwrap();
+    let elites = elites.insert_axis(Axis(0)).into_dimensionality().unwrap();
+    let warm = WarmStart { actions: &actions, elites: Some(&elites) };
+    let (with, seen) = watched(&config, Some(warm)).unwrap();
+    for (elite, candidate) in before.elites.outer_iter().zip(seen.chunks(6)) {
+        let steps: Vec<f32> = [1, 2, 2].iter().flat_map(|&step| elite.row(step).to_vec()).collect();
+        assert_eq!(candidate, steps);
+    }
+    // The others are drawn as without.
+    let (without, plain) = watched(&config, Some(WarmStart::from(&actions))).unwrap();
+    assert_eq!(seen[12..200 * 6], plain[12..200 * 6]);
+    assert_eq!(with.elites.dim(), without.elites.dim());
+    let fewer = MpcConfig { shift_elites: 1, ..config.clone() };
+    let error = watched(&fewer, Some(warm)).unwrap_err().to_string();
+    assert!(error.starts_with("warm_elites: must have shape [1, S, 3, 2] with S up to"), "{error}");
+    let nan = elites.mapv(|_| f32::NAN);
+    let error = watched(&config, Some(WarmStart { elites: Some(&nan), ..warm }));
+    assert!(error.unwrap_err().to_string().starts_with("warm_elites: must be finite"));
+}
+
+#[test]
+fn coloured_actions_change_slowly_and_stay_in_the_box() {
+    let roughness = |noise_beta: f64| {
+        let config = MpcConfig { noise_beta, horizon: 10, ..MpcConfig::default() };
+        let (_, seen) = watched(&config, None).unwrap();
+        assert!(seen.iter().all(|action| action.abs() <= 1.0));
+        let first = seen[..200 * 20].chunks(20);
+        first.flat_map(|row| (2..20).map(|n| (row[n] - row[n - 2]).powi(2))).sum::<f32>()
+    };
+    assert!(roughness(2.0) < 0.5 * roughness(0.0));
+}
+
+#[test]
+fn options_over_time_are_checked() {
+    let named = |config: MpcConfig, expected: &str| {
+        let error = config.validate().unwrap_err().to_string();
+        assert!(error.starts_with(expected), "{error}");
+    };
+    let good = MpcConfig::default;
+    for noise_beta in [-1.0, f64::NAN, f64::INFINITY] {
+        named(MpcConfig { noise_beta, ..good() }, "noise_beta: must be finite");
+    }
+    named(MpcConfig { noise_beta: 1.0, horizon: 257, ..good() }, "noise_beta: is for at most 256");
+    let covariance = Covariance::Full { shrinkage: 0.1 };
+    let cem = CemConfig { covariance, ..CemConfig::default() };
+    named(MpcConfig { noise_beta: 1.0, cem, ..good() }, "noise_beta: must be 0 with covariance");
+    named(MpcConfig { shift_elites: 41, ..good() }, "shift_elites: must be at most elites (40)");
+}
+
+#[test]
+fn the_short_method_is_the_plan_of_one_problem() {
+    let config = MpcConfig::default();
+    let (start, goal) = (Points(vec![[0.5, 0.0]]), Points(vec![[2.0, -1.0]]));
+    let world = PointMass::new();
+    let expected = solve(&config, &world, &start, &goal, &[stream(7, 0)], None, true).unwrap();
+    assert_eq!(config.plan(&world, &start, &goal, 7).unwrap(), expected[0]);
+    let two = Points(vec![[0.0; 2]; 2]);
+    let said = config.plan(&world, &two, &goal, 7).unwrap_err().to_string();
+    assert_eq!(said, "start: must be one frame, got 2");
+    let said = config.plan(&world, &start, &two, 7).unwrap_err().to_string();
+    assert_eq!(said, "goal: must be one frame, got 2");
 }

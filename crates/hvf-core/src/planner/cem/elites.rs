@@ -4,7 +4,11 @@ use ndarray::ArrayView1;
 
 /// Places of the `count` lowest costs in the list `kept ++ costs`, ordered by (cost, place).
 /// NaN is never an elite, so there may be fewer.
-pub(super) fn elites(kept: &[f32], costs: ArrayView1<'_, f32>, count: usize) -> Vec<usize> {
+pub(in crate::planner) fn elites(
+    kept: &[f32],
+    costs: ArrayView1<'_, f32>,
+    count: usize,
+) -> Vec<usize> {
     let mut keys: Vec<u64> = kept
         .iter()
         .chain(costs.iter())

@@ -1,0 +1,129 @@
+//! Visual model-predictive control: the cross-entropy method over actions, with a world model's
+//! predicted distance to the goal image as cost (paper, section 3 and algorithm 1).
+
+mod config;
+mod problems;
+mod rollouts;
+
+use ndarray::{Array2, Array3, ArrayView3};
+
+use super::cem::distribution::{Initial, Start};
+use super::cem::{minimise, IterationStats, Solution};
+use super::model::{ActionSpace, Frames, WorldModel};
+use crate::{Error, Result};
+use problems::check_problems;
+pub(super) use problems::check_single;
+use rollouts::{hold, Rollouts};
+
+pub use config::{ActionInitial, MpcConfig};
+pub use problems::{Problems, WarmStart};
+
+/// Asked between two calls of a model whether to go on; its error ends the planning.
+pub type Interrupt<'a> = &'a dyn Fn() -> Result<()>;
+/// The best actions found for one problem.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Plan {
+    /// Actions, `[H, A]`.
+    pub actions: Array2<f32>,
+    /// Predicted cost of these actions.
+    pub cost: f32,
+    /// The best candidates of the last iteration, best first, `[S, H, A]` for
+    /// [`MpcConfig::shift_elites`] of `S`; the last one stands again for those that cost NaN.
+    pub elites: Array3<f32>,
+    /// One entry per iteration that was run.
+    pub history: Vec<IterationStats>,
+}
+/// Plans for every problem: the candidate with the lowest predicted cost of all iterations, or of
+/// the last one ([`CemConfig::best`](super::CemConfig::best)).
+///
+/// # Errors
+/// A setting out of range, batches of different sizes, an error of the model, batches of other
+/// sizes out of its [`prepare`](WorldModel::prepare), a problem whose costs are all NaN, or the
+/// error that `interrupt` gives.
+pub fn plan<W: WorldModel>(
+    config: &MpcConfig,
+    world: &W,
+    problems: &Problems<'_, W::Frames>,
+    interrupt: Interrupt<'_>,
+) -> Result<Vec<Plan>> {
+    config.validate()?;
+    let space = world.action_space();
+    check_problems(config, space, problems)?;
+    let starts = starts(config, space, problems.warm_start)?;
+    let prepared = prepared(world, problems)?;
+    let (from, to) = match &prepared {
+        Some((starts, goals)) => (starts, goals),
+        None => (problems.starts, problems.goals),
+    };
+    // Where the searches begin is settled.
+    let to_roll = Problems { starts: from, goals: to, warm_start: None, ..*problems };
+    let mut objective = Rollouts { config, world, problems: to_roll, interrupt };
+    let solutions =
+        minimise(&config.cem, &config.space(space), &starts, problems.streams, &mut objective)?;
+    Ok(solutions.into_iter().map(|solution| found(config, space.dim(), solution)).collect())
+}
+
+/// Where the searches begin: one for all, or around each problem's last plan.
+fn starts(
+    config: &MpcConfig,
+    space: &ActionSpace,
+    warm_start: Option<WarmStart<'_>>,
+) -> Result<Vec<Start>> {
+    let Some(WarmStart { actions, elites }) = warm_start else {
+        return Ok(vec![config.initial_in(space)?.into()]);
+    };
+    let initial = actions.outer_iter().map(|plan| config.initial_around(plan, space));
+    let Some(elites) = elites else {
+        return Ok(initial.map(Start::from).collect());
+    };
+    let shifted = |(initial, elites): (Initial, ArrayView3<'_, f32>)| Start {
+        initial,
+        candidates: elites.outer_iter().flat_map(|elite| config.shifted(elite, space)).collect(),
+    };
+    Ok(initial.zip(elites.outer_iter()).map(shifted).collect())
+}
+
+/// A candidate as actions of every step, with its cost.
+fn found(config: &MpcConfig, dim: usize, mut solution: Solution) -> Plan {
+    let values = solution.candidate.len();
+    let last = solution.elites[solution.elites.len() - values..].to_vec();
+    solution.elites.truncate(config.shift_elites * values);
+    while solution.elites.len() < config.shift_elites * values {
+        solution.elites.extend_from_slice(&last);
+    }
+    let shape = (config.horizon, dim);
+    let held = |candidates| hold(candidates, dim, config.action_repeat);
+    Plan {
+        actions: Array2::from_shape_vec(shape, held(solution.candidate))
+            .expect("a candidate holds horizon / action_repeat actions"),
+        cost: solution.cost,
+        elites: Array3::from_shape_vec(
+            (config.shift_elites, shape.0, shape.1),
+            held(solution.elites),
+        )
+        .expect("as many candidates as were asked for"),
+        history: solution.history,
+    }
+}
+
+/// What the model made of starts and goals, if anything.
+fn prepared<W: WorldModel>(
+    world: &W,
+    problems: &Problems<'_, W::Frames>,
+) -> Result<Option<(W::Frames, W::Frames)>> {
+    let prepared = world.prepare(problems.starts, problems.goals)?;
+    if let Some((starts, goals)) = &prepared {
+        let expected = (problems.starts.len(), problems.goals.len());
+        let got = (starts.len(), goals.len());
+        if got != expected {
+            return Err(Error::Model(format!(
+                "prepare must give as many frames as it got, {} starts and {} goals, got {} and {}",
+                expected.0, expected.1, got.0, got.1
+            )));
+        }
+    }
+    Ok(prepared)
+}
+#[cfg(test)]
+mod tests;

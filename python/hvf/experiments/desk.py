@@ -1,0 +1,48 @@
+"""The desk's figure in Nair & Finn (ICLR 2020), and what acting and search go by here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.methods import methods
+
+_CHOSEN = {"two_block": 1, "door_block": 1, "door_two_block": 2}
+"""Subgoals of each task with more than the door to it, chosen on validation."""
+
+_NO_SCENE: Mapping[str, Any] = {"scene_weight": 0.0}
+
+_CHOICES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "no subgoals": ("none", {}),
+    "HVF": ("hvf", {}),
+    "true subgoals": ("ground-truth", {}),
+    "no subgoals, whole images alone": ("none", _NO_SCENE),
+    "HVF, whole images alone": ("hvf", _NO_SCENE),
+    "true subgoals, whole images alone": ("ground-truth", _NO_SCENE),
+    "HVF, whole images alone, mean of segments": ("hvf", {**_NO_SCENE, "reduction": "mean"}),
+}
+
+
+def desk(setup: Setup) -> list[PaperTable]:
+    """The desk's tables."""
+    return [methods(setup, "Methods by task"), _choices(setup)]
+
+
+def _choices(setup: Setup) -> PaperTable:
+    """What a frame costs in acting, and how segments are reduced in the search."""
+    rows = {
+        name: tuple(
+            Cell(setup.evaluation(method, 0 if method == "none" else count, task=task, **settings))
+            for task, count in _CHOSEN.items()
+        )
+        for name, (method, settings) in _CHOICES.items()
+    }
+    return PaperTable(
+        "choices",
+        "What counts, in acting and in the search for subgoals",
+        "choice",
+        tuple(f"{task}, K = {count}" for task, count in _CHOSEN.items()),
+        rows,
+        extra=True,
+    )

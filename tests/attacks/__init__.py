@@ -1,0 +1,1 @@
+"""Files that were made to break whoever opens them; see README.md."""
