@@ -99,7 +99,10 @@ pub fn table(seed: u64) -> Array5<u8> {
 }
 
 pub fn gallery(seed: u64, tile: usize) -> Gallery {
-    let (patches, index) = gallery_images(seed, tile);
+    gallery_of(gallery_images(seed, tile))
+}
+
+fn gallery_of((patches, index): (Array4<u8>, Array2<i32>)) -> Gallery {
     let images = GalleryImages {
         low: [-1.0, -0.8, -1.2],
         step: [1.1, 0.7, 2.0],
@@ -133,7 +136,10 @@ pub fn sprite_images(seed: u64) -> Array4<f32> {
 }
 
 pub fn painter(seed: u64, tile: usize) -> Painter {
-    let gallery = gallery(seed, tile);
+    painter_with(gallery(seed, tile), seed)
+}
+
+fn painter_with(gallery: Gallery, seed: u64) -> Painter {
     let backdrop = Backdrop::new(table(seed).view(), gallery.tiles()).unwrap();
     Painter::new(backdrop, sprites(seed), gallery).unwrap()
 }
@@ -142,16 +148,7 @@ pub fn painter(seed: u64, tile: usize) -> Painter {
 pub fn world_without_arm(seed: u64, tile: usize) -> LayerWorld {
     let (mut patches, index) = gallery_images(seed, tile);
     patches.fill(0);
-    let images = GalleryImages {
-        low: [-1.0, -0.8, -1.2],
-        step: [1.1, 0.7, 2.0],
-        places: PLACES,
-        patches: patches.view(),
-        index: index.view(),
-    };
-    let gallery = Gallery::new(&images, SIZE).unwrap();
-    let backdrop = Backdrop::new(table(seed).view(), gallery.tiles()).unwrap();
-    let painter = Painter::new(backdrop, sprites(seed), gallery).unwrap();
+    let painter = painter_with(gallery_of((patches, index)), seed);
     LayerWorld::new(cell(seed), painter, 0.0, OverHorizon::Last).unwrap()
 }
 

@@ -28,6 +28,7 @@ use crate::maze::physics::{ACTION_LIMIT, FREE_TRAVEL, FRICTION, GEAR, STEP_SECON
 const HAIR: f64 = 1e-12;
 /// Far more contacts than a step can have.
 const MOST_CONTACTS: usize = 200;
+
 /// The position after half a second of `action` (units of [`GEAR`] newtons, clipped to
 /// `+-`[`ACTION_LIMIT`]) from `position`, where the agent is at rest.
 ///

@@ -7,7 +7,7 @@
 
 use ndarray::{Array2, Array3, Axis};
 
-use super::{decoded, latents_of, HvfConfig, Progress, SearchResult, SearchStats, Watch};
+use super::{decoded, latents_of, HvfConfig, SearchResult, SearchStats, Watch};
 use crate::planner::cem::{Call, Objective, Solution};
 use crate::planner::model::{Frames, SubgoalModel};
 use crate::{Error, Result};
@@ -62,11 +62,7 @@ impl<F: Frames, G: SubgoalModel<F>> Objective for Likelihoods<'_, F, G> {
     fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
         let solution = solutions[0];
         self.latest = Some(solution.clone());
-        (self.watch.progress)(Progress {
-            iteration: solution.history.len(),
-            iterations: self.config.cem.iterations,
-            cost: solution.cost,
-        })
+        self.watch.iterated(solution, self.config.cem.iterations)
     }
 }
 

@@ -3,8 +3,7 @@
 use ndarray::{Array2, Array3};
 
 use super::{
-    decoded, latents_of, segment_stream, HvfConfig, Progress, Reduction, SearchResult, SearchStats,
-    Watch,
+    decoded, latents_of, segment_stream, HvfConfig, Reduction, SearchResult, SearchStats, Watch,
 };
 use crate::planner::cem::{elites, BestOf, Call, Objective, Solution};
 use crate::planner::model::{Frames, SubgoalModel, WorldModel};
@@ -200,10 +199,6 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> 
     fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
         let solution = solutions[0];
         self.latest = Some(solution.clone());
-        (self.watch.progress)(Progress {
-            iteration: solution.history.len(),
-            iterations: self.config.cem.iterations,
-            cost: solution.cost,
-        })
+        self.watch.iterated(solution, self.config.cem.iterations)
     }
 }

@@ -1,6 +1,7 @@
 //! Looking at a search while it works.
 
 use super::SearchResult;
+use crate::planner::cem::Solution;
 use crate::planner::mpc::Interrupt;
 use crate::Result;
 
@@ -31,6 +32,12 @@ impl<F> Watch<'_, F> {
     /// Nobody: the search goes on to its end.
     pub fn nobody() -> Self {
         Self { interrupt: &|| Ok(()), progress: &|_| Ok(()), partial: &|_| () }
+    }
+
+    /// Tells how the optimisation stands, of so many iterations.
+    pub(super) fn iterated(&self, solution: &Solution, iterations: usize) -> Result<()> {
+        let iteration = solution.history.len();
+        (self.progress)(Progress { iteration, iterations, cost: solution.cost })
     }
 }
 
