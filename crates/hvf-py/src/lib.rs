@@ -9,8 +9,6 @@ mod latent;
 mod latent_weights;
 mod layers;
 mod maze;
-mod maze_layout;
-mod maze_world;
 mod planner;
 mod threads;
 
@@ -25,8 +23,6 @@ fn hvf_core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     latent::register(module)?;
     layers::register(module)?;
     maze::register(module)?;
-    maze_layout::register(module)?;
-    maze_world::register(module)?;
     planner::register(module)?;
     Ok(())
 }

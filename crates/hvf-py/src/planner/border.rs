@@ -21,7 +21,8 @@ use crate::error::to_py;
 use crate::keypoint::{PyKeypointFrames, PyKeypointWorld};
 use crate::latent::{PyLatentFrames, PyLatentWorld};
 use crate::layers::{PyLayerFrames, PyLayerWorld};
-use crate::maze_world::{PyMazeFrames, PyMazeWorld};
+use crate::maze::frames::PyMazeFrames;
+use crate::maze::world::PyMazeWorld;
 
 /// A world model with the way its frames come from Python and go back.
 pub trait Border: Sync {
@@ -335,7 +336,7 @@ macro_rules! with_border {
         } else if let Ok(world) = native.cast::<$crate::layers::PyLayerWorld>() {
             let $border = $crate::planner::border::Native::new(world, model);
             $body
-        } else if let Ok(world) = native.cast::<$crate::maze_world::PyMazeWorld>() {
+        } else if let Ok(world) = native.cast::<$crate::maze::world::PyMazeWorld>() {
             let $border = $crate::planner::border::Native::new(world, model);
             $body
         } else {

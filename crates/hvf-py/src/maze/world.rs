@@ -1,4 +1,4 @@
-//! The maze's true simulator as a world model: `MazeWorld`, `MazeFrames`, `MazeSubgoals`.
+//! The maze's true simulator as a world model: `MazeWorld`, `MazeSubgoals`.
 
 use std::sync::Arc;
 
@@ -9,98 +9,20 @@ use hvf_core_rs::maze::{
 };
 use hvf_core_rs::planner::{Frames, SubgoalModel, WorldModel};
 use hvf_core_rs::Error;
-use ndarray::{Array2, Array3, Array4, Ix3, Ix4};
+use ndarray::{Array3, Ix3, Ix4};
 use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyReadonlyArray4, PyUntypedArray,
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray4, PyUntypedArray,
     PyUntypedArrayMethods,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
 
-use crate::arguments::{array, axes_of, indices, numbers, text, unfit, Given, Real, Text, Whole};
+use super::frames::{rows_of, PyMazeFrames};
+use super::layout::{layout_of, other_than_paper, Kept};
+use crate::arguments::{array, axes_of, numbers, text, unfit, Given, Real, Text, Whole};
 use crate::error::to_py;
-use crate::maze_layout::{layout_of, other_than_paper, states_in, write_row, Kept};
 use crate::threads::detached;
-
-/// Frames of the maze: states, with the images they were read off where there are any.
-///
-/// `MazeFrames(states)` takes float64 `[N, 4]`, rows `(x, y, w1, w2)`; its images are drawn where
-/// they are needed, with `image_size` pixels. `MazeWorld.observe` makes frames of images. With a
-/// `layout` rows are its states, `(x, y, gap, ..)`.
-#[pyclass(name = "MazeFrames", module = "hvf_core", frozen)]
-pub struct PyMazeFrames {
-    /// The frames.
-    pub inner: MazeFrames,
-}
-
-#[pymethods]
-impl PyMazeFrames {
-    #[new]
-    #[pyo3(
-        signature = (states, image_size = Given::of(64), layout = None),
-        text_signature = "(states, image_size=64, layout=None)"
-    )]
-    fn new(
-        states: &Bound<'_, PyAny>,
-        image_size: Whole,
-        layout: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<Self> {
-        let layout = other_than_paper(layout_of(layout)?);
-        let image_size = image_size.count("image_size")?;
-        Renderer::shared(image_size)
-            .map_err(|error| PyValueError::new_err(format!("image_size: {error}")))?;
-        let states = states_in("states", states, layout.as_deref())?;
-        Ok(Self { inner: MazeFrames::from_states(states, image_size) })
-    }
-
-    fn __len__(&self) -> usize {
-        self.inner.len()
-    }
-
-    /// The frames at `index`: an integer (one frame, still a batch), or a list or an array of
-    /// integers; negative ones count from the end. Raises IndexError beyond the batch.
-    fn __getitem__(&self, index: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let index = indices(index, self.inner.len())?;
-        Ok(Self { inner: self.inner.select(&index).map_err(to_py)? })
-    }
-
-    /// States, float64 `[N, 4]`, rows `(x, y, w1, w2)`, or those of a layout (a copy).
-    #[getter]
-    fn states<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
-        let rows = match self.inner.states() {
-            States::Paper(states) => rows_of(states.iter()),
-            States::Laid(states) => rows_of(states.iter()),
-        };
-        rows.into_pyarray(py)
-    }
-
-    /// Images, uint8 `[N, S, S, 3]` (a copy): those that were observed, or else drawn.
-    #[getter]
-    fn images<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
-        let (count, size) = (self.inner.len(), self.inner.image_size());
-        let bytes = detached(py, || {
-            let renderer = Renderer::new(size)?;
-            let mut bytes = Vec::with_capacity(count * renderer.frame_len());
-            for i in 0..count {
-                bytes.extend_from_slice(&self.inner.image(&renderer, i)?);
-            }
-            Ok(bytes)
-        })?;
-        let images = Array4::from_shape_vec((count, size, size, 3), bytes.map_err(to_py)?);
-        Ok(images.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
-    }
-
-    /// Height and width of the images, pixels.
-    #[getter]
-    fn image_size(&self) -> usize {
-        self.inner.image_size()
-    }
-
-    fn __repr__(&self) -> String {
-        format!("MazeFrames({} frames of {} pixels)", self.inner.len(), self.inner.image_size())
-    }
-}
 
 /// The maze's true simulator as a world model.
 ///
@@ -371,19 +293,6 @@ fn located(scene: &Bound<'_, PyAny>, layout: Option<&Kept>) -> PyResult<MazeFram
     detached(scene.py(), read)?.map_err(to_py)
 }
 
-/// Rows of states of one layout, `[N, columns]`.
-fn rows_of<'s, S: Ground>(states: impl ExactSizeIterator<Item = &'s State<S>>) -> Array2<f64> {
-    let mut states = states.peekable();
-    let columns = 2 + states.peek().map_or(2, |state| state.scene.gaps().len());
-    let mut rows = Array2::zeros((states.len(), columns));
-    for (mut row, state) in rows.rows_mut().into_iter().zip(states) {
-        if let Some(row) = row.as_slice_mut() {
-            write_row(state, row);
-        }
-    }
-    rows
-}
-
 /// A uint8 array `[N, size, size, 3]`; a single image gets an axis.
 fn images_of_size<'py>(
     argument: &str,
@@ -403,6 +312,5 @@ fn images_of_size<'py>(
 /// Adds this file's classes to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyMazeWorld>()?;
-    module.add_class::<PyMazeFrames>()?;
     module.add_class::<PyMazeSubgoals>()
 }
