@@ -20,6 +20,7 @@ BASELINE = "none"
 """The method that others are compared with."""
 
 _OF_SUBGOALS = ("steps_per_subgoal", "threshold", "reached", "reached_blur")
+_OF_SEARCH = ("reduction", "segment_cost", "choose_anew")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -251,7 +252,7 @@ def _relevant(planning: Mapping[str, Any], name: str) -> dict[str, Any]:
         return {}
 
     def used(setting: str) -> bool:
-        if setting.startswith("subgoal_") or setting == "reduction":
+        if setting.startswith("subgoal_") or setting in _OF_SEARCH:
             return method.needs_generator
         return method.has_subgoals or setting not in _OF_SUBGOALS
 
