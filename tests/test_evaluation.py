@@ -37,6 +37,7 @@ from hvf.evaluation.recording import record
 from hvf.evaluation.report import HEAD, Report, load, save
 from hvf.evaluation.run import evaluate, evaluate_task
 from hvf.evaluation.statistics import wilson_interval
+from hvf.progress import Bar
 from hvf.registry import DOMAINS, METHODS
 from hvf.settings import Planning, World
 
@@ -662,9 +663,9 @@ def test_an_episode_knows_what_it_aimed_at() -> None:
 def test_a_watched_episode_takes_its_share_of_the_bar() -> None:
     task = cheap(method="none", samples=10, elites=3, steps=7)
     with Progress(disable=True) as progress:
-        bar = progress.add_task("", total=21)
-        outcomes = [watch(task, index, progress, bar)[0] for index in (0, 1)]
-        assert progress.tasks[bar].completed == 14
+        number = progress.add_task("", total=21)
+        outcomes = [watch(task, index, Bar(progress, number))[0] for index in (0, 1)]
+        assert progress.tasks[number].completed == 14
     assert all(1 <= outcome.trials[0].steps <= 7 for outcome in outcomes)
     assert f"after {outcomes[0].trials[0].steps} steps" in how_it_went("two", outcomes[0])
 
