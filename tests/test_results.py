@@ -147,7 +147,15 @@ def test_subgoals_are_paired_with_none_of_the_same_settings_on_common_episodes(
 def test_what_draws_subgoals_is_no_setting_of_the_method_that_has_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write(tmp_path / "a.json", 1, 2, method="none", generator="cvae", subgoal_samples=70, segment_cost="likelihood")
+    write(
+        tmp_path / "a.json",
+        1,
+        2,
+        method="none",
+        generator="cvae",
+        subgoal_samples=70,
+        segment_cost="likelihood",
+    )
     write(tmp_path / "b.json", 1, 2, method="none", steps_per_subgoal=7, threshold=0.0)
     write(tmp_path / "c.json", 2, 2, generator="cvae", steps_per_subgoal=7)
     write(tmp_path / "d.json", 2, 2, method="ground-truth", subgoal_samples=70)
