@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -43,6 +44,36 @@ def test_the_first_is_noted_and_the_second_raises(number: signal.Signals) -> Non
                 os.kill(os.getpid(), number)
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), number)
+
+
+def test_one_that_is_lost_in_a_destructor_is_noted_without_a_word(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Falls:
+        def __init__(self, error: type[BaseException] | None) -> None:
+            self.error = error
+
+        def __del__(self) -> None:
+            if self.error is not None:
+                raise self.error
+            signal.raise_signal(signal.SIGTERM)
+
+    told: list[type[BaseException]] = []
+    before = sys.unraisablehook
+    sys.unraisablehook = lambda lost: told.append(lost.exc_type)
+    try:
+        with Interrupts(at_once=True) as interrupts:
+            Falls(ValueError)
+            assert told == [ValueError]
+            Falls(None)
+            with pytest.raises(KeyboardInterrupt):
+                interrupts.check()
+        assert told == [ValueError]
+        Falls(KeyError)
+        assert told == [ValueError, KeyError]
+    finally:
+        sys.unraisablehook = before
+    assert "Traceback" not in capsys.readouterr().err
 
 
 def test_what_is_ignored_stays_ignored() -> None:

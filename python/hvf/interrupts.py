@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from types import FrameType
@@ -14,7 +15,7 @@ class Interrupts:
     """Notes the first Ctrl-C or SIGTERM in ``asked``; the second one interrupts at once.
 
     An exception that a signal raises wherever the program happens to be is lost inside a weak
-    reference's callback or a destructor; a note is not.
+    reference's callback or a destructor; a note is not, and nobody is told of the loss.
 
     A signal that is ignored when the block begins stays ignored: whoever started the program, a
     script that put it into the background for one, wanted it so.
@@ -31,6 +32,7 @@ class Interrupts:
         self.asked = False
         self._at_once = at_once
         self._before: dict[int, Any] = {}
+        self._told = sys.unraisablehook
 
     def __enter__(self) -> Interrupts:
         """Begin to listen, in the main thread; elsewhere no signal arrives."""
@@ -40,6 +42,7 @@ class Interrupts:
                 if before is not signal.SIG_IGN:
                     self._before[number] = before
                     signal.signal(number, self._note)
+            self._told, sys.unraisablehook = sys.unraisablehook, self._lost
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -47,6 +50,8 @@ class Interrupts:
         for number, handler in self._before.items():
             signal.signal(number, handler)
         self._before = {}
+        if sys.unraisablehook == self._lost:
+            sys.unraisablehook = self._told
 
     def check(self) -> None:
         """Raise KeyboardInterrupt if somebody asked."""
@@ -57,6 +62,11 @@ class Interrupts:
         second, self.asked = self.asked, True
         if second or self._at_once:
             raise KeyboardInterrupt
+
+    def _lost(self, lost: sys.UnraisableHookArgs, /) -> None:
+        """Tell of an exception that nobody can catch, unless it is an interrupt that is noted."""
+        if not (self.asked and issubclass(lost.exc_type, KeyboardInterrupt)):
+            self._told(lost)
 
 
 @contextlib.contextmanager
