@@ -10,9 +10,10 @@ when it was written takes the default of today, which must therefore mean what w
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
@@ -215,21 +216,27 @@ def _build(
             f"{path}: was trained for environment {header.environment!r}, expected {environment!r}"
         )
     config_type: Any = getattr(model_class, "config_type", None)
-    try:
+    with _config_named(path, header):
         check_numbers(header.config, Path(path).stat().st_size)
         config = config_from_json(config_type, header.config)
         planned = outline(model_class, config)
-        if planned is not None:
-            _check_weights(path, planned, tensors)
+    if planned is not None:
+        _check_weights(path, planned, tensors)
+    with _config_named(path, header):
         model = model_class(config)
-    except (TypeError, RuntimeError) as error:
-        raise ValueError(f"{path}: config of {header.model} is not valid: {error}") from error
-    except ValueError as error:
-        if str(path) in str(error):
-            raise
-        raise ValueError(f"{path}: config of {header.model} is not valid: {error}") from error
-    load_weights(path, model, tensors)
+    if planned is None:
+        _check_weights(path, model, tensors)
+    model.load_state_dict(dict(tensors))
     return model
+
+
+@contextlib.contextmanager
+def _config_named(path: str | Path, header: Header) -> Iterator[None]:
+    """What is wrong with a config, or with a model of it, is said of its file."""
+    try:
+        yield
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{path}: config of {header.model} is not valid: {error}") from error
 
 
 def export_half(source: str | Path, target: str | Path) -> int:

@@ -73,7 +73,7 @@ pub struct Canvas {
     values: Vec<f32>,
     /// Numbers of tiles that differ from the still frame without the arm, too.
     changed: Vec<usize>,
-    /// These tiles without the arm, `[changed][3][T * T]`.
+    /// These tiles without the arm, `[changed][3][T * T]`; no room where nobody asks for them.
     changes: Vec<f32>,
 }
 
@@ -148,8 +148,8 @@ impl Painter {
         }
     }
 
-    /// Room for drawing.
-    pub fn canvas(&self) -> Canvas {
+    /// Room for drawing; `behind` to keep what moved behind the arm, too ([`Canvas::behind`]).
+    pub fn canvas(&self, behind: bool) -> Canvas {
         let (count, values) = (self.tiles.count(), self.tiles.values());
         Canvas {
             around: Around::default(),
@@ -166,7 +166,7 @@ impl Painter {
             drawn: Vec::with_capacity(count),
             values: vec![0.0; count * values],
             changed: Vec::with_capacity(count),
-            changes: vec![0.0; count * values],
+            changes: vec![0.0; if behind { count * values } else { 0 }],
         }
     }
 
@@ -266,7 +266,7 @@ fn paint(painter: &Painter, scene: &Scene<'_>, state: &[f32], canvas: &mut Canva
         if pushed {
             painter.push(scene, tile, canvas);
         }
-        if slid || pushed {
+        if (slid || pushed) && !canvas.changes.is_empty() {
             let changes = &mut canvas.changes[canvas.changed.len() * values..][..values];
             for (change, behind) in changes.iter_mut().zip(&canvas.behind) {
                 *change = behind.clamp(0.0, 255.0);

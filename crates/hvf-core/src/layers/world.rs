@@ -168,7 +168,7 @@ impl LayerWorld {
         Room {
             cell: self.cell.scratch(BLOCKS),
             actions: vec![vec![[0.0; LANES]; self.actions.dim()]; BLOCKS],
-            canvas: self.painter.canvas(),
+            canvas: self.painter.canvas(self.scene_weight > 0.0),
             state: vec![0.0; self.cell.state_size()],
         }
     }
@@ -322,7 +322,7 @@ impl LayerWorld {
         let tiles = self.painter.tiles();
         let mut images = vec![0.0; count * size * size * 3];
         images.par_chunks_exact_mut(size * size * 3).enumerate().for_each_init(
-            || self.painter.canvas(),
+            || self.painter.canvas(false),
             |canvas, (i, image)| {
                 let scene = self.painter.scene(starts.start(i));
                 self.painter.paint(&scene, &states.row(i).to_vec(), canvas);

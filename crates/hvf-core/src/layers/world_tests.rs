@@ -154,7 +154,7 @@ fn what_does_not_change_is_the_start_frame_without_its_arm() {
     let frames = frames_at(&world, &[state.row(0).to_vec()], 3);
     let drawn = world.draw(&frames, state.view()).unwrap();
     let scene = world.painter.scene(frames.start(0));
-    let mut canvas = world.painter.canvas();
+    let mut canvas = world.painter.canvas(false);
     world.painter.paint(&scene, frames.state(0), &mut canvas);
     let tiles = world.painter.tiles();
     let armed: Vec<usize> = canvas.drawn(tiles).map(|(tile, _)| tile).collect();

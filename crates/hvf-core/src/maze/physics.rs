@@ -49,11 +49,16 @@ pub fn step(state: &State, action: [f64; 2]) -> State {
     State { scene: state.scene, position }
 }
 
+/// What an action pushes with, newtons; a component that is NaN with nothing.
+#[inline]
+pub(super) fn force_of(action: [f64; 2]) -> [f64; 2] {
+    action.map(|a| if a.is_nan() { 0.0 } else { GEAR * a.clamp(-ACTION_LIMIT, ACTION_LIMIT) })
+}
+
 /// [`step`] from `position` in a scene whose free space is at hand: what rollouts in one scene
 /// share. Returns the new position.
 pub fn step_within(space: &FreeSpace, position: [f64; 2], action: [f64; 2]) -> [f64; 2] {
-    let force =
-        action.map(|a| if a.is_nan() { 0.0 } else { GEAR * a.clamp(-ACTION_LIMIT, ACTION_LIMIT) });
+    let force = force_of(action);
     let start = space.push_out(position);
     // Most steps meet nothing.
     let end = [start[0] + FREE_TRAVEL * force[0], start[1] + FREE_TRAVEL * force[1]];

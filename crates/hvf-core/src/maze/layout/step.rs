@@ -22,21 +22,20 @@ use super::contacts::{Contact, ALONG, STILL, TOUCH};
 use super::obstacles::Obstacles;
 use super::polygon::dot;
 use crate::maze::motion::Motion;
-use crate::maze::physics::{ACTION_LIMIT, FREE_TRAVEL, FRICTION, GEAR, STEP_SECONDS};
+use crate::maze::physics::{force_of, FREE_TRAVEL, FRICTION, STEP_SECONDS};
 
 /// Rounding of a distance, m.
 const HAIR: f64 = 1e-12;
 /// Far more contacts than a step can have.
 const MOST_CONTACTS: usize = 200;
 
-/// The position after half a second of `action` (units of [`GEAR`] newtons, clipped to
-/// `+-`[`ACTION_LIMIT`]) from `position`, where the agent is at rest.
+/// The position after half a second of `action` (as [`step`](crate::maze::step) takes it) from
+/// `position`, where the agent is at rest.
 ///
 /// Total on purpose, as [`step`](crate::maze::step): a component that is NaN counts as no force,
 /// a start inside a wall is first pushed out of it.
 pub fn step_in(space: &Obstacles, position: [f64; 2], action: [f64; 2]) -> [f64; 2] {
-    let force =
-        action.map(|a| if a.is_nan() { 0.0 } else { GEAR * a.clamp(-ACTION_LIMIT, ACTION_LIMIT) });
+    let force = force_of(action);
     let start = space.push_out(position);
     let end = [start[0] + FREE_TRAVEL * force[0], start[1] + FREE_TRAVEL * force[1]];
     if space.is_clear(start, end) {

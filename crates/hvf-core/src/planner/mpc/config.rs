@@ -2,7 +2,7 @@
 
 use ndarray::ArrayView2;
 
-use super::{check_single, plan, Plan, Problems};
+use super::{check_single, plan_one, Plan};
 use crate::planner::cem::distribution::{Bounds, Initial, Space};
 use crate::planner::cem::noise::Coloured;
 use crate::planner::cem::{CemConfig, Covariance};
@@ -153,16 +153,8 @@ impl MpcConfig {
         seed: u64,
     ) -> Result<Plan> {
         check_single(start, goal)?;
-        let problems = Problems {
-            starts: start,
-            goals: goal,
-            streams: &[Stream { seed, purpose: Purpose::Actions, problem: 0 }],
-            warm_start: None,
-            share_rollouts: false,
-            describe: &|_| "the plan".into(),
-        };
-        let plans = plan(self, world, &problems, &|| Ok(()))?;
-        Ok(plans.into_iter().next().expect("one problem, one plan"))
+        let stream = Stream { seed, purpose: Purpose::Actions, problem: 0 };
+        plan_one(self, world, [start, goal], stream, &|_| "the plan".into(), &|| Ok(()))
     }
 
     /// Actions drawn per candidate.

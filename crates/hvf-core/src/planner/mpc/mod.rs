@@ -10,6 +10,7 @@ use ndarray::{Array2, Array3, ArrayView3};
 use super::cem::distribution::{Initial, Start};
 use super::cem::{minimise, IterationStats, Solution};
 use super::model::{ActionSpace, Frames, WorldModel};
+use super::sampler::Stream;
 use crate::{Error, Result};
 use problems::check_problems;
 pub(super) use problems::check_single;
@@ -105,6 +106,27 @@ fn found(config: &MpcConfig, dim: usize, mut solution: Solution) -> Plan {
         .expect("as many candidates as were asked for"),
         history: solution.history,
     }
+}
+
+/// [`plan`] of one problem, from `start[1]` to `goal[1]` and from no earlier plan.
+pub(super) fn plan_one<W: WorldModel>(
+    config: &MpcConfig,
+    world: &W,
+    [start, goal]: [&W::Frames; 2],
+    stream: Stream,
+    describe: &dyn Fn(usize) -> String,
+    interrupt: Interrupt<'_>,
+) -> Result<Plan> {
+    let problems = Problems {
+        starts: start,
+        goals: goal,
+        streams: &[stream],
+        warm_start: None,
+        share_rollouts: false,
+        describe,
+    };
+    let plans = plan(config, world, &problems, interrupt)?;
+    Ok(plans.into_iter().next().expect("one problem, one plan"))
 }
 
 /// What the model made of starts and goals, if anything.

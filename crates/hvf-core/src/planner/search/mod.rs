@@ -20,7 +20,7 @@ use ndarray::{Array2, Array3, Axis};
 use super::cem::distribution::{Bounds, Initial, Space, Start};
 use super::cem::{minimise, IterationStats, Solution};
 use super::model::{Frames, SubgoalModel, WorldModel};
-use super::mpc::{check_single, plan, Interrupt, Plan, Problems};
+use super::mpc::{check_single, plan_one, Interrupt, Plan};
 use super::sampler::{Purpose, Stream, MAX_DIMENSIONS};
 use crate::{Error, Result};
 use likelihood::Likelihoods;
@@ -158,20 +158,14 @@ fn plan_directly<W: WorldModel>(
     seed: u64,
     interrupt: Interrupt<'_>,
 ) -> Result<SearchResult<W::Frames>> {
-    let problems = Problems {
-        starts: start,
-        goals: goal,
-        streams: &[Stream { seed, purpose: Purpose::Actions, problem: 0 }],
-        warm_start: None,
-        share_rollouts: false,
-        describe: &|_| "the plan to the goal".into(),
-    };
-    let plans = plan(&config.mpc, world, &problems, interrupt)?;
+    let stream = Stream { seed, purpose: Purpose::Actions, problem: 0 };
+    let describe = |_| "the plan to the goal".into();
+    let plan = plan_one(&config.mpc, world, [start, goal], stream, &describe, interrupt)?;
     Ok(SearchResult {
         subgoals: goal.select(&[])?,
         latents: Array2::zeros((0, 0)),
-        cost: plans[0].cost,
-        plans,
+        cost: plan.cost,
+        plans: vec![plan],
         history: Vec::new(),
     })
 }
@@ -191,15 +185,9 @@ fn plan_along<W: WorldModel>(
             _ => subgoals.select(&[segment - 1])?,
         };
         let to = if segment == count { goal.clone() } else { subgoals.select(&[segment])? };
-        let problems = Problems {
-            starts: &from,
-            goals: &to,
-            streams: &[segment_stream(seed, 0, 0, segment)],
-            warm_start: None,
-            share_rollouts: false,
-            describe: &|_| format!("segment {segment}"),
-        };
-        plans.append(&mut plan(&config.mpc, world, &problems, interrupt)?);
+        let stream = segment_stream(seed, 0, 0, segment);
+        let describe = |_| format!("segment {segment}");
+        plans.push(plan_one(&config.mpc, world, [&from, &to], stream, &describe, interrupt)?);
     }
     Ok(plans)
 }

@@ -4,7 +4,7 @@ use super::*;
 use std::cell::RefCell;
 
 use crate::planner::cem::{BestOf, CemConfig, Covariance};
-use crate::planner::mpc::MpcConfig;
+use crate::planner::mpc::{plan, MpcConfig, Problems};
 use crate::planner::point_mass::{PointMass, Points, Positions};
 use ndarray::{ArrayView2, Axis};
 use proptest::prelude::*;
