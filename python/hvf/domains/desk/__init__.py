@@ -45,6 +45,18 @@ _PAPER = Planning(
     action_repeat=3,
     steps_per_subgoal=20,
 )
+# For video models, whose generator draws images and cannot say how likely they are.
+_VIDEO = Planning(
+    samples=200,
+    elites=10,
+    keep_elites=10,
+    warm_start=True,
+    initial="normal",
+    horizon=15,
+    action_repeat=3,
+    replan_every=3,
+    steps_per_subgoal=20,
+)
 # What a core can pay for true dynamics: 256 candidates, each one action that is held for three
 # steps and then acted to its end, since it does just what was predicted. So few find the thin arm
 # of a goal image only through a blur.
@@ -85,6 +97,11 @@ DESK = Domain(
     presets={
         "default": Preset(_DEFAULT, _OBJECTS, "subgoals by likelihood, warm starts"),
         "paper": Preset(_PAPER, _OBJECTS, "planning as published; generator: the object model's"),
+        "video": Preset(
+            _VIDEO,
+            World("latent", "cvae"),
+            "video models throughout: subgoals by planning, in images",
+        ),
         "simulator": Preset(
             _SIMULATOR,
             World("simulator"),
