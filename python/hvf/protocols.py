@@ -55,6 +55,10 @@ class Frames(Protocol):
     """A batch of frames in a model's own memory.
 
     NumPy arrays and torch tensors are frames, their first axis being the batch.
+
+    A class of frames may have a static method ``join``, which takes a list of batches and gives
+    one, the frames of all of them in order: a search then asks for the segments of its samples, and
+    of the searches beside it, in one call. Arrays and tensors of one dtype and shape need none.
     """
 
     def __len__(self) -> int:

@@ -433,11 +433,15 @@ class HVF:
         min_variance: Variance below which the search is done, in squared units of a latent.
         reduction: Cost of a sample from those of its segments: ``"max"`` or ``"mean"``.
         keep_elites: Best samples that compete again in the next iteration, with the cost they had.
-        prune: Complete samples in the order of their first segment's cost, and drop those whose
-            worst segment exceeds the ``elites``-th best complete sample. Changes nothing but the
-            time, and what ``population_mean`` is over. Only with ``"max"``.
+        prune: Plan the segment of a sample first that a few candidates take for its hardest, drop
+            samples whose worst segment exceeds the ``elites``-th best complete sample, and plan
+            other segments only until they are known to be no harder. Changes nothing but the time,
+            and what ``population_mean`` is over. Only with ``"max"``.
         share_rollouts: Share the first iteration's rollouts of all first segments where the model
             can (``shared_rollout_costs``). Changes nothing but the time.
+        chunk: Samples that pruning completes at a time, before it looks what is still worth
+            completing; ``None`` for as many as ``elites``. Larger ones make fewer, fuller calls.
+            Changes nothing but the time.
         best: Where the answer comes from: ``"all"``, the sample with the lowest cost of all
             iterations, or ``"last"``, that of the last iteration that was run (kept elites
             included), as in the authors' released code. Subgoals, latents, cost and plans are of
@@ -476,6 +480,7 @@ class HVF:
         keep_elites: SupportsIndex = 0,
         prune: bool = True,
         share_rollouts: bool = True,
+        chunk: SupportsIndex | None = None,
         best: Literal["all", "last"] = "all",
         segment_cost: Literal["planned", "likelihood"] = "planned",
         momentum: float = 0.0,
@@ -507,6 +512,8 @@ class HVF:
     def prune(self) -> bool: ...
     @property
     def share_rollouts(self) -> bool: ...
+    @property
+    def chunk(self) -> int | None: ...
     @property
     def best(self) -> Literal["all", "last"]: ...
     @property
@@ -561,7 +568,10 @@ class HVF:
         goals: Any,
         seeds: SupportsIndex | Sequence[SupportsIndex] | NDArray[np.integer] | None = None,
     ) -> list[SearchResult]:
-        """Search for ``B`` pairs of start and goal: as :meth:`search` one by one.
+        """Search for ``B`` pairs of start and goal: each result is what :meth:`search` finds alone.
+
+        The searches go on side by side: a model whose frames can be joined
+        (``hvf.protocols.Frames``) plans the segments of all of them in the same calls.
 
         Args:
             model: As for :meth:`search`.
@@ -609,7 +619,8 @@ class SearchResult:
         """Figures of every iteration, ``[I]`` each.
 
         Those of :attr:`Plan.history` over the samples (``population_mean``: the completed ones)
-        and the planning problems ``evaluated`` and ``skipped``, int64.
+        and the planning problems ``evaluated`` (to their end, or until it was clear that they are
+        not their sample's hardest) and ``skipped``, int64.
         """
 
 # --- the maze as a world model --------------------------------------------------------------

@@ -3,7 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use hvf_core_rs::planner::{
-    search, Frames, HvfConfig, Progress, Reduction, SearchResult, SegmentCost, Watch,
+    search, search_batch, Frames, HvfConfig, Progress, Reduction, SearchResult, SegmentCost, Watch,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
@@ -42,14 +42,14 @@ impl PyHvf {
         signature = (
             *, mpc=None, subgoals=Given::of(2), samples=Given::of(200), elites=Given::of(40),
             iterations=Given::of(5), min_variance=Given::of(1e-3), reduction=text("max"),
-            keep_elites=Given::of(0), prune=Given::of(true), share_rollouts=Given::of(true),
+            keep_elites=Given::of(0), prune=Given::of(true), share_rollouts=Given::of(true), chunk=None,
             best=text("all"), segment_cost=text("planned"), momentum=Given::of(0.0),
             samples_decay=Given::of(1.0), temperature=None, min_std=Given::of(0.0),
             covariance=text("diagonal"), shrinkage=Given::of(SHRINKAGE)
         ),
         text_signature = "(*, mpc=None, subgoals=2, samples=200, elites=40, iterations=5, \
                           min_variance=0.001, reduction='max', keep_elites=0, prune=True, \
-                          share_rollouts=True, best='all', segment_cost='planned', \
+                          share_rollouts=True, chunk=None, best='all', segment_cost='planned', \
                           momentum=0.0, samples_decay=1.0, \
                           temperature=None, min_std=0.0, covariance='diagonal', \
                           shrinkage=0.1)"
@@ -66,6 +66,7 @@ impl PyHvf {
         keep_elites: Whole,
         prune: Flag,
         share_rollouts: Flag,
+        chunk: Option<&Bound<'_, PyAny>>,
         best: Text,
         segment_cost: Text,
         momentum: Real,
@@ -117,6 +118,10 @@ impl PyHvf {
         config.segment_cost = segment_cost;
         config.prune = prune.get("prune")?;
         config.share_rollouts = share_rollouts.get("share_rollouts")?;
+        config.chunk = match chunk.filter(|chunk| !chunk.is_none()) {
+            Some(chunk) => Some(chunk.extract::<Whole>()?.count("chunk")?),
+            None => None,
+        };
         config.validate().map_err(to_py)?;
         Ok(Self { config })
     }
@@ -154,8 +159,9 @@ impl PyHvf {
         })
     }
 
-    /// A list of `B` results, as by `search` one by one. `starts`, `goals` and `seeds` are as for
-    /// `VisualMPC.plan_batch`.
+    /// A list of `B` results, each what `search` finds alone. The searches go on side by side: a
+    /// model whose frames can be joined (`hvf.protocols.Frames`) plans the segments of all of them
+    /// in the same calls. `starts`, `goals` and `seeds` are as for `VisualMPC.plan_batch`.
     #[pyo3(signature = (model, generator, starts, goals, seeds=None))]
     fn search_batch(
         &self,
@@ -178,15 +184,14 @@ impl PyHvf {
             }
             let seeds = self::seeds(seeds, count)?;
             let generator = Generator::new(generator, &border, self.config.subgoals)?;
-            seeds
-                .into_iter()
-                .enumerate()
-                .map(|(episode, seed)| {
-                    let start = frame_of(&starts, episode)?;
-                    let goal = frame_of(&goals, episode)?;
-                    self.solve(model.py(), &border, &generator, [&start, &goal], seed, None)
-                })
-                .collect()
+            let py = model.py();
+            let found = detached(py, || {
+                let watch = Watch { interrupt: &signals(), ..Watch::nobody() };
+                let ends = [&starts, &goals];
+                search_batch(&self.config, border.world(), &generator, ends, &seeds, watch)
+            })?;
+            let found = found.map_err(|error| border.error(py, error))?;
+            found.into_iter().map(|found| written(py, &border, found)).collect()
         })
     }
 
@@ -212,6 +217,10 @@ impl PyHvf {
     #[getter]
     fn share_rollouts(&self) -> bool {
         self.config.share_rollouts
+    }
+    #[getter]
+    fn chunk(&self) -> Option<usize> {
+        self.config.chunk
     }
     #[getter]
     fn segment_cost(&self) -> &'static str {
@@ -285,6 +294,7 @@ impl PyHvf {
             "keep_elites",
             "prune",
             "share_rollouts",
+            "chunk",
             "best",
             "segment_cost",
             "momentum",
@@ -303,12 +313,6 @@ impl PyHvf {
         let (_, arguments) = Self::__getnewargs_ex__(slf)?;
         Ok(format!("HVF({})", keywords(&arguments)?))
     }
-}
-
-/// The frame of one episode; a single frame stands for all.
-fn frame_of<F: Frames>(frames: &F, episode: usize) -> PyResult<F> {
-    let place = if frames.len() == 1 { 0 } else { episode };
-    frames.select(&[place]).map_err(to_py)
 }
 
 impl PyHvf {
