@@ -118,6 +118,35 @@ def test_prepare_is_called_once_per_batch_of_segments() -> None:
     assert world.prepared == [(1, 1)]
 
 
+@pytest.mark.parametrize("share", [True, False])
+def test_a_model_that_pads_is_called_in_few_sizes(share: bool) -> None:
+    class Padding(PointMass):
+        pads = True
+
+    options: dict[str, Any] = {
+        "mpc": VisualMPC(horizon=3, samples=32, elites=6, iterations=8, min_variance=0.05),
+        "samples": 24, "elites": 5, "iterations": 2, "share_rollouts": share,
+    }  # fmt: skip
+    ordinary, padding = PointMass(), Padding()
+    expected = HVF(**options).search(ordinary, Positions(), START, GOAL, seed=5)
+    same(HVF(**options).search(padding, Positions(), START, GOAL, seed=5), expected)
+    sizes = [{len(actions) for _, _, actions, _ in world.calls} for world in (ordinary, padding)]
+    assert len(sizes[1]) < len(sizes[0])
+    assert all(size & (size - 1) == 0 for size in sizes[1])
+
+
+def test_whether_a_model_pads_is_yes_or_no() -> None:
+    class Huge:
+        def __len__(self) -> int:
+            return 1 << 70
+
+    class Undecided(PointMass):
+        pads = Huge()
+
+    with pytest.raises(TypeError, match=r"^model.pads: expected True or False"):
+        SMALL.plan(Undecided(), START, GOAL)
+
+
 @pytest.mark.parametrize(
     ("prepared", "said"),
     [

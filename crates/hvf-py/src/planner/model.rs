@@ -147,6 +147,7 @@ pub struct PythonWorld {
     actions: ActionSpace,
     max_candidates: usize,
     uses_seeds: bool,
+    pads: bool,
     prepares: bool,
     shares_rollouts: bool,
     observes: bool,
@@ -185,22 +186,29 @@ impl PythonWorld {
         Ok(Self {
             actions,
             max_candidates,
-            uses_seeds: match object.getattr_opt(intern!(py, "uses_seeds"))? {
-                Some(uses) => uses.is_truthy().map_err(|exception| {
-                    // Of an object whose truth is its length.
-                    match exception.is_instance_of::<PyOverflowError>(py) {
-                        true => wrong_type("model.uses_seeds", "True or False", &uses),
-                        false => exception,
-                    }
-                })?,
-                None => false,
-            },
+            uses_seeds: flag(object, "uses_seeds")?,
+            pads: flag(object, "pads")?,
             prepares: has(intern!(py, "prepare"))?,
             shares_rollouts: has(intern!(py, "shared_rollout_costs"))?,
             observes: has(intern!(py, "observe"))?,
             object: object.clone().unbind(),
         })
     }
+}
+
+/// An attribute that is true or false, and false where there is none.
+fn flag(object: &Bound<'_, PyAny>, name: &str) -> PyResult<bool> {
+    let py = object.py();
+    let Some(value) = object.getattr_opt(PyString::new(py, name))? else {
+        return Ok(false);
+    };
+    value.is_truthy().map_err(|exception| {
+        // Of an object whose truth is its length.
+        match exception.is_instance_of::<PyOverflowError>(py) {
+            true => wrong_type(&format!("model.{name}"), "True or False", &value),
+            false => exception,
+        }
+    })
 }
 
 /// Candidates in one call where the model does not say: enough to fill the cores of a host.
@@ -219,6 +227,10 @@ impl WorldModel for PythonWorld {
 
     fn uses_seeds(&self) -> bool {
         self.uses_seeds
+    }
+
+    fn pads(&self) -> bool {
+        self.pads
     }
 
     fn prepare(
