@@ -370,7 +370,7 @@ def make(call: Call) -> bool:
         except BaseException as error:
             if isinstance(error, KeyboardInterrupt) or type(error).__module__[:10] == "hypothesis":
                 raise
-            wrong = problem(error)
+            wrong = None if error in RAISED else problem(error)
             # Of two arguments that are wrong, either may be complained about.
             if wrong is None and call.spoilt == 1 and own_errors() and error not in own_errors():
                 wrong = f"{error!r} in place of {own_errors()}"
