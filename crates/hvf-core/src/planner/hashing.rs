@@ -8,8 +8,9 @@ use super::{ActionInitial, CemConfig, Covariance, HvfConfig, MpcConfig};
 
 impl Hash for HvfConfig {
     fn hash<S: Hasher>(&self, state: &mut S) {
-        let Self { mpc, subgoals, cem, reduction, segment_cost, prune, share_rollouts } = self;
-        (mpc, subgoals, cem, reduction, segment_cost, prune, share_rollouts).hash(state);
+        let Self { mpc, subgoals, cem, reduction, segment_cost, prune, chunk, share_rollouts } =
+            self;
+        (mpc, subgoals, cem, reduction, segment_cost, prune, chunk, share_rollouts).hash(state);
     }
 }
 

@@ -20,5 +20,6 @@ pub use cem::{BestOf, CemConfig, Covariance, IterationStats};
 pub use model::{ActionSpace, Candidates, Frames, SharedCandidates, SubgoalModel, WorldModel};
 pub use mpc::{ActionInitial, Interrupt, MpcConfig, Plan, Problems, WarmStart};
 pub use search::{
-    search, HvfConfig, Progress, Reduction, SearchResult, SearchStats, SegmentCost, Watch,
+    search, search_batch, HvfConfig, Progress, Reduction, SearchResult, SearchStats, SegmentCost,
+    Watch,
 };

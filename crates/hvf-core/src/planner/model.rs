@@ -83,6 +83,13 @@ pub trait Frames: Clone {
     /// # Errors
     /// An index beyond the batch, or a failure of the model's memory.
     fn select(&self, index: &[usize]) -> Result<Self>;
+
+    /// The frames of all `parts`, at least one, one after another; `None` where this memory does
+    /// not put batches together, and the model is then called once for each. Worth having where a
+    /// few large calls cost less than more of them: on a GPU.
+    fn join(_parts: &[&Self]) -> Option<Result<Self>> {
+        None
+    }
 }
 
 /// What [`Frames::select`] leaves of `places` in a pool that frames share.

@@ -27,6 +27,10 @@ impl Frames for Points {
         };
         index.iter().map(point).collect::<Result<_>>().map(Points)
     }
+
+    fn join(parts: &[&Self]) -> Option<Result<Self>> {
+        Some(Ok(Points(parts.iter().flat_map(|part| part.0.iter().copied()).collect())))
+    }
 }
 
 /// Each action moves the point by itself; actions are within `[-1, 1]`.

@@ -3,10 +3,10 @@
 
 use std::cell::RefCell;
 
-use ndarray::Array2;
+use ndarray::{Array2, Array3};
 use proptest::prelude::*;
 
-use super::model::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel};
+use super::model::{ActionSpace, Candidates, Frames, SharedCandidates, SubgoalModel, WorldModel};
 use super::mpc::{plan, MpcConfig, Plan, Problems};
 use super::point_mass::{noise, PointMass, Points, Positions};
 use super::sampler::{Purpose, Stream};
@@ -80,11 +80,79 @@ fn a_search_prepares_once_per_batch_of_segments() {
     let config = HvfConfig { prune: false, ..small_search(2) };
     let world = PointMass { prepares: true, ..PointMass::new() };
     let with = found(&config, &world, 3);
-    // Three iterations of three segments, each planned for all 24 samples together.
-    let segment = [(1, 24), (24, 24), (24, 24)];
-    assert_eq!(world.prepared.borrow().as_slice(), segment.repeat(3));
+    // Three iterations of three segments of 24 samples: the first ones have one start.
+    assert_eq!(world.prepared.borrow().as_slice(), [(1, 24), (48, 48)].repeat(3));
     let plain = found(&config, &PointMass::new(), 3);
-    assert_eq!((with.latents, with.plans), (plain.latents, plain.plans));
+    assert_eq!((&with.latents, &with.plans), (&plain.latents, &plain.plans));
+    let world = PointMass { prepares: true, ..PointMass::new() };
+    let together = found(&HvfConfig { share_rollouts: false, ..config }, &world, 3);
+    assert_eq!(world.prepared.borrow().as_slice(), [(72, 72)].repeat(3));
+    // One call for each iteration of their plans.
+    let iterations = together.history.len() * 4;
+    assert!(world.calls.get() <= iterations, "{} calls", world.calls.get());
+    assert_eq!((with.latents, with.plans), (together.latents, together.plans));
+    // Pruning asks for all segments too, and needs no other preparation.
+    let world = PointMass { prepares: true, ..PointMass::new() };
+    found(&small_search(2), &world, 3);
+    assert_eq!(world.prepared.borrow().as_slice(), [(1, 24), (48, 48)].repeat(3));
+}
+
+/// Points that cannot be joined.
+#[derive(Clone, Debug, PartialEq)]
+struct Apart(Points);
+
+impl Frames for Apart {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn select(&self, index: &[usize]) -> Result<Self> {
+        self.0.select(index).map(Self)
+    }
+}
+
+/// The point mass with such frames; counts its calls.
+struct Split(PointMass);
+
+impl WorldModel for Split {
+    type Frames = Apart;
+
+    fn action_space(&self) -> &ActionSpace {
+        &self.0.actions
+    }
+
+    fn rollout_costs(
+        &self,
+        starts: &Apart,
+        goals: &Apart,
+        candidates: Candidates,
+    ) -> Result<Array2<f32>> {
+        self.0.rollout_costs(&starts.0, &goals.0, candidates)
+    }
+}
+
+impl SubgoalModel<Apart> for Positions {
+    fn latent_dim(&self) -> usize {
+        3
+    }
+
+    fn decode(&self, scene: &Apart, latents: Array3<f32>) -> Result<Apart> {
+        self.decode(&scene.0, latents).map(Apart)
+    }
+}
+
+#[test]
+fn frames_that_cannot_be_joined_are_planned_part_by_part() {
+    for (prune, share_rollouts) in [(true, true), (false, true), (true, false), (false, false)] {
+        let config = HvfConfig { prune, share_rollouts, ..small_search(3) };
+        let (start, goal) = (Points(vec![[0.0; 2]]), Points(vec![[6.0, 3.0]]));
+        let world = Split(PointMass::new());
+        let (from, to) = (Apart(start), Apart(goal));
+        let apart = config.search(&world, &Positions::new(), &from, &to, 7).unwrap();
+        let joined = found(&config, &PointMass::new(), 7);
+        assert_eq!((apart.subgoals.0, apart.latents), (joined.subgoals, joined.latents));
+        assert_eq!((apart.plans, apart.history), (joined.plans, joined.history));
+    }
 }
 
 #[test]

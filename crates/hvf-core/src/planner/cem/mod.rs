@@ -75,6 +75,12 @@ pub trait Objective {
         Ok(())
     }
 
+    /// A cost that is low enough: the search for this problem ends after the first iteration that
+    /// has found as much.
+    fn enough(&self, _problem: usize) -> Option<f32> {
+        None
+    }
+
     /// What to call a problem in an error.
     fn describe(&self, problem: usize) -> String {
         format!("problem {problem}")
@@ -163,7 +169,10 @@ pub fn minimise<O: Objective>(
         }
         let solutions: Vec<&Solution> = active.iter().map(|state| &state.solution).collect();
         objective.iterated(&solutions)?;
-        active.retain(|state| !state.converged(config));
+        active.retain(|state| {
+            let enough = objective.enough(state.number);
+            !state.converged(config) && enough.is_none_or(|cost| state.solution.cost > cost)
+        });
         if active.is_empty() {
             break;
         }

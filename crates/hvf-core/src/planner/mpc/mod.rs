@@ -8,13 +8,13 @@ mod rollouts;
 use ndarray::{Array2, Array3, ArrayView3};
 
 use super::cem::distribution::{Initial, Start};
-use super::cem::{minimise, IterationStats, Solution};
+use super::cem::{minimise, CemConfig, IterationStats, Solution};
 use super::model::{ActionSpace, Frames, WorldModel};
 use super::sampler::Stream;
 use crate::{Error, Result};
 use problems::check_problems;
 pub(super) use problems::check_single;
-use rollouts::{hold, Rollouts};
+use rollouts::{hold, Lenient, Rollouts};
 
 pub use config::{ActionInitial, MpcConfig};
 pub use problems::{Problems, WarmStart};
@@ -49,21 +49,66 @@ pub fn plan<W: WorldModel>(
     interrupt: Interrupt<'_>,
 ) -> Result<Vec<Plan>> {
     config.validate()?;
-    let space = world.action_space();
-    check_problems(config, space, problems)?;
-    let starts = starts(config, space, problems.warm_start)?;
-    let prepared = prepared(world, problems)?;
-    let (from, to) = match &prepared {
+    check_problems(config, world.action_space(), problems)?;
+    let prepared = prepared(world, problems.starts, problems.goals)?;
+    let (starts, goals) = match &prepared {
         Some((starts, goals)) => (starts, goals),
         None => (problems.starts, problems.goals),
     };
+    solve(config, world, &Problems { starts, goals, ..*problems }, None, interrupt)
+}
+
+/// [`plan`] of frames that are [`prepared`]. Where a cost is `enough` for problem `b`, its search
+/// ends with the first iteration that has found as much.
+///
+/// # Errors
+/// As [`plan`].
+pub(super) fn solve<W: WorldModel>(
+    config: &MpcConfig,
+    world: &W,
+    problems: &Problems<'_, W::Frames>,
+    enough: Option<&[f32]>,
+    interrupt: Interrupt<'_>,
+) -> Result<Vec<Plan>> {
+    let space = world.action_space();
+    check_problems(config, space, problems)?;
+    let starts = starts(config, space, problems.warm_start)?;
     // Where the searches begin is settled.
-    let to_roll = Problems { starts: from, goals: to, warm_start: None, ..*problems };
-    let mut objective = Rollouts { config, world, problems: to_roll, interrupt };
-    let solutions =
-        minimise(&config.cem, &config.space(space), &starts, problems.streams, &mut objective)?;
+    let problems = Problems { warm_start: None, ..*problems };
+    let streams = problems.streams;
+    let mut objective = Rollouts { config, world, problems, enough, interrupt };
+    let solutions = minimise(&config.cem, &config.space(space), &starts, streams, &mut objective)?;
     Ok(solutions.into_iter().map(|solution| found(config, space.dim(), solution)).collect())
 }
+
+/// The least cost among the first few candidates of each problem of [`prepared`] frames: a guess,
+/// at a small share of a plan's time, of how hard it is. Infinite where all of them cost NaN.
+///
+/// # Errors
+/// As [`plan`].
+pub(super) fn probe<W: WorldModel>(
+    config: &MpcConfig,
+    world: &W,
+    problems: &Problems<'_, W::Frames>,
+    interrupt: Interrupt<'_>,
+) -> Result<Vec<f32>> {
+    let samples = (config.cem.samples / CANDIDATES_PER_PROBE).clamp(1, MOST_PROBES);
+    let cem = CemConfig { samples, elites: 1, iterations: 1, keep_elites: 0, ..config.cem.clone() };
+    let config = MpcConfig { cem, shift_elites: 0, ..config.clone() };
+    let space = world.action_space();
+    check_problems(&config, space, problems)?;
+    let starts = [config.initial_in(space)?.into()];
+    let (streams, problems) = (problems.streams, Problems { ..*problems });
+    let rollouts = Rollouts { config: &config, world, problems, enough: None, interrupt };
+    let solutions =
+        minimise(&config.cem, &config.space(space), &starts, streams, &mut Lenient(rollouts))?;
+    Ok(solutions.into_iter().map(|solution| solution.cost).collect())
+}
+
+/// A probe takes one candidate for so many of a plan's iteration,
+const CANDIDATES_PER_PROBE: usize = 16;
+/// but not more than these: the search for subgoals in the maze does as well with 8 as with 32.
+const MOST_PROBES: usize = 8;
 
 /// Where the searches begin: one for all, or around each problem's last plan.
 fn starts(
@@ -130,13 +175,14 @@ pub(super) fn plan_one<W: WorldModel>(
 }
 
 /// What the model made of starts and goals, if anything.
-fn prepared<W: WorldModel>(
+pub(super) fn prepared<W: WorldModel>(
     world: &W,
-    problems: &Problems<'_, W::Frames>,
+    starts: &W::Frames,
+    goals: &W::Frames,
 ) -> Result<Option<(W::Frames, W::Frames)>> {
-    let prepared = world.prepare(problems.starts, problems.goals)?;
+    let expected = (starts.len(), goals.len());
+    let prepared = world.prepare(starts, goals)?;
     if let Some((starts, goals)) = &prepared {
-        let expected = (problems.starts.len(), problems.goals.len());
         let got = (starts.len(), goals.len());
         if got != expected {
             return Err(Error::Model(format!(

@@ -20,6 +20,8 @@ pub(super) struct Rollouts<'a, W: WorldModel> {
     pub world: &'a W,
     /// Starts and goals as the model prepared them.
     pub problems: Problems<'a, W::Frames>,
+    /// Costs that are low enough, one for each problem.
+    pub enough: Option<&'a [f32]>,
     pub interrupt: Interrupt<'a>,
 }
 
@@ -102,8 +104,41 @@ impl<W: WorldModel> Objective for Rollouts<'_, W> {
         self.world.shared_rollout_costs(self.problems.starts, &goals, candidates)
     }
 
+    fn enough(&self, problem: usize) -> Option<f32> {
+        self.enough.map(|costs| costs[problem])
+    }
+
     fn describe(&self, problem: usize) -> String {
         format!("rollout_costs for {}", (self.problems.describe)(problem))
+    }
+}
+
+/// The same, but a cost of NaN is an infinite one: among a few candidates all may cost NaN.
+pub(super) struct Lenient<'a, W: WorldModel>(pub Rollouts<'a, W>);
+
+fn leniently(costs: Result<Array2<f32>>) -> Result<Array2<f32>> {
+    costs.map(|costs| costs.mapv_into(|cost| if cost.is_nan() { f32::INFINITY } else { cost }))
+}
+
+impl<W: WorldModel> Objective for Lenient<'_, W> {
+    fn problems_per_call(&self) -> usize {
+        self.0.problems_per_call()
+    }
+
+    fn costs(&mut self, call: Call<'_>, candidates: Array3<f32>) -> Result<Array2<f32>> {
+        leniently(self.0.costs(call, candidates))
+    }
+
+    fn shared_costs(
+        &mut self,
+        call: Call<'_>,
+        candidates: &Array2<f32>,
+    ) -> Option<Result<Array2<f32>>> {
+        self.0.shared_costs(call, candidates).map(leniently)
+    }
+
+    fn describe(&self, problem: usize) -> String {
+        self.0.describe(problem)
     }
 }
 

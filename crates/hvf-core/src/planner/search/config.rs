@@ -57,8 +57,12 @@ pub struct HvfConfig {
     pub reduction: Reduction,
     /// Who says what a segment costs.
     pub segment_cost: SegmentCost,
-    /// Drop samples that cannot become elites (only with [`Reduction::Max`]).
+    /// Leave out planning that cannot change which samples are elites (only with
+    /// [`Reduction::Max`]).
     pub prune: bool,
+    /// Samples that pruning completes between two looks at what is still worth completing; as many
+    /// as there are elites if `None`. Fewer plan less, more make larger calls.
+    pub chunk: Option<usize>,
     /// Share the first iteration's rollouts of segments with one start.
     pub share_rollouts: bool,
 }
@@ -73,6 +77,7 @@ impl Default for HvfConfig {
             reduction: Reduction::Max,
             segment_cost: SegmentCost::Planned,
             prune: true,
+            chunk: None,
             share_rollouts: true,
         }
     }
@@ -91,6 +96,9 @@ impl HvfConfig {
                 "subgoals",
                 format!("must be at most {}, got {}", u16::MAX, self.subgoals),
             ));
+        }
+        if self.chunk == Some(0) {
+            return Err(Error::invalid("chunk", "must be at least 1, got 0"));
         }
         self.mpc.validate()
     }

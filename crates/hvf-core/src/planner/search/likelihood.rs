@@ -7,62 +7,90 @@
 
 use ndarray::{Array2, Array3, Axis};
 
-use super::{decoded, latents_of, HvfConfig, SearchResult, SearchStats, Watch};
+use super::{decoded, latents_of, Ends, HvfConfig, SearchResult, SearchStats, Watch};
 use crate::planner::cem::{Call, Objective, Solution};
 use crate::planner::model::{Frames, SubgoalModel};
 use crate::{Error, Result};
 
-/// Samples of subgoals as an objective: latents to what the generator says of their segments.
+/// Samples of subgoals as an objective: latents to what the generator says of their segments, one
+/// problem for each search of a batch.
 pub(super) struct Likelihoods<'a, F, G> {
-    pub generator: &'a G,
-    pub start: &'a F,
-    pub goal: &'a F,
-    pub config: &'a HvfConfig,
-    pub latent_dim: usize,
-    pub watch: Watch<'a, F>,
-    /// How the optimisation stood after its last iteration.
-    pub latest: Option<Solution>,
+    config: &'a HvfConfig,
+    generator: &'a G,
+    ends: &'a [Ends<F>],
+    watch: Watch<'a, F>,
+    latent_dim: usize,
+    /// How the optimisation of each search stood after its last iteration.
+    latest: Vec<Option<Solution>>,
+    /// Searches that take part in this iteration.
+    active: Vec<usize>,
 }
 
-impl<F: Frames, G: SubgoalModel<F>> Likelihoods<'_, F, G> {
-    /// What the search answers with, but for the plans, if `solution` is what the optimisation
-    /// does.
+impl<'a, F: Frames, G: SubgoalModel<F>> Likelihoods<'a, F, G> {
+    pub fn new(
+        config: &'a HvfConfig,
+        generator: &'a G,
+        ends: &'a [Ends<F>],
+        watch: Watch<'a, F>,
+    ) -> Self {
+        let latest = vec![None; ends.len()];
+        let latent_dim = generator.latent_dim();
+        Self { config, generator, ends, watch, latent_dim, latest, active: Vec::new() }
+    }
+
+    /// What each search answers with as it stands, but for the plans; nothing before the first
+    /// iteration is done.
     ///
     /// # Errors
     /// Whatever keeps the generator from drawing.
-    pub fn found(&self, solution: &Solution) -> Result<SearchResult<F>> {
-        let latents = latents_of(solution, self.config.subgoals);
-        let subgoals = decoded(self.generator, self.start, latents.clone().insert_axis(Axis(0)))?;
-        let none = |&costs| SearchStats { costs, evaluated: 0, skipped: 0 };
-        let history = solution.history.iter().map(none).collect();
-        Ok(SearchResult { subgoals, latents, cost: solution.cost, plans: Vec::new(), history })
+    pub fn found(self) -> Result<Option<Vec<SearchResult<F>>>> {
+        let answer = |(ends, latest): (&Ends<F>, Option<Solution>)| {
+            let Some(solution) = latest else {
+                return Ok(None);
+            };
+            let latents = latents_of(&solution, self.config.subgoals);
+            let subgoals =
+                decoded(self.generator, &ends.start, latents.clone().insert_axis(Axis(0)))?;
+            let none = |&costs| SearchStats { costs, evaluated: 0, skipped: 0 };
+            let history = solution.history.iter().map(none).collect();
+            let cost = solution.cost;
+            Ok(Some(SearchResult { subgoals, latents, cost, plans: Vec::new(), history }))
+        };
+        self.ends.iter().zip(self.latest).map(answer).collect()
     }
 }
 
 impl<F: Frames, G: SubgoalModel<F>> Objective for Likelihoods<'_, F, G> {
-    fn costs(&mut self, _call: Call<'_>, candidates: Array3<f32>) -> Result<Array2<f32>> {
-        (self.watch.interrupt)()?;
-        let (_, count, _) = candidates.dim();
-        let latents = candidates
-            .into_shape_with_order((count, self.config.subgoals, self.latent_dim))
-            .expect("a candidate has K x L values");
-        let segments = self.generator.segment_costs(self.start, self.goal, latents)?;
-        if segments.dim() != (count, self.config.subgoals + 1) {
-            return Err(Error::Model(format!(
-                "segment_costs must give shape [{count}, {}], got {:?}",
-                self.config.subgoals + 1,
-                segments.shape()
-            )));
+    fn costs(&mut self, call: Call<'_>, candidates: Array3<f32>) -> Result<Array2<f32>> {
+        let (problems, count, _) = candidates.dim();
+        let (subgoals, reduction) = (self.config.subgoals, self.config.reduction);
+        let mut costs = Vec::with_capacity(problems * count);
+        for (latents, &episode) in candidates.axis_iter(Axis(0)).zip(call.problems) {
+            (self.watch.interrupt)()?;
+            let Ends { start, goal, .. } = &self.ends[episode];
+            let latents = latents
+                .to_shape((count, subgoals, self.latent_dim))
+                .expect("a candidate has K x L values")
+                .into_owned();
+            let segments = self.generator.segment_costs(start, goal, latents)?;
+            if segments.dim() != (count, subgoals + 1) {
+                return Err(Error::Model(format!(
+                    "segment_costs must give shape [{count}, {}], got {:?}",
+                    subgoals + 1,
+                    segments.shape()
+                )));
+            }
+            costs.extend(segments.outer_iter().map(|costs| reduction.of(costs.iter().copied())));
         }
-        let reduction = self.config.reduction;
-        let costs = segments.outer_iter().map(|costs| reduction.of(costs.iter().copied()));
-        Ok(Array2::from_shape_vec((1, count), costs.collect()).expect("one cost per sample"))
+        self.active.extend_from_slice(call.problems);
+        Ok(Array2::from_shape_vec((problems, count), costs).expect("one cost per sample"))
     }
 
     fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
-        let solution = solutions[0];
-        self.latest = Some(solution.clone());
-        self.watch.iterated(solution, self.config.cem.iterations)
+        for (search, &solution) in self.active.drain(..).zip(solutions) {
+            self.latest[search] = Some(solution.clone());
+        }
+        self.watch.iterated(solutions, self.config.cem.iterations)
     }
 }
 

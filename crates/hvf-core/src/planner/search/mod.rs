@@ -1,18 +1,19 @@
 //! The search for subgoal images (paper, section 4 and algorithm 2): the cross-entropy method
 //! over `K` latents, where a sample costs what the hardest of its `K + 1` segments costs to plan.
 //!
-//! Two savings change nothing but the time:
+//! Savings change nothing but the time:
 //!
-//! 1. All samples' first segments start from `s0`, so their first iteration's rollouts are shared
-//!    (where the world model can score one set of rollouts against many goals).
-//! 2. With the maximum over segments, a sample costs at least as much as its worst segment so
-//!    far. After the first segment of all samples, they are completed in ascending order of that
-//!    bound, in chunks, and dropped once it exceeds the `M*`-th best complete sample: they could
-//!    not have become elites.
+//! 1. All first segments start from `s0`, so their first iteration's rollouts are shared (where the
+//!    world model can score one set of rollouts against many goals).
+//! 2. With the maximum over segments, what cannot change the elites is not planned (`pruning`).
+//! 3. Several searches go on side by side ([`search_batch`]), so that a model gets fewer, larger
+//!    calls.
 
 mod config;
 mod likelihood;
+mod pruning;
 mod samples;
+mod segments;
 mod watch;
 
 use ndarray::{Array2, Array3, Axis};
@@ -25,6 +26,7 @@ use super::sampler::{Purpose, Stream, MAX_DIMENSIONS};
 use crate::{Error, Result};
 use likelihood::Likelihoods;
 use samples::Samples;
+use segments::{Planner, Segments, Ways};
 
 pub use config::{HvfConfig, Reduction, SegmentCost};
 pub use watch::{Progress, Watch};
@@ -35,9 +37,10 @@ pub use watch::{Progress, Watch};
 pub struct SearchStats {
     /// Costs over the samples; the population is those that were completed.
     pub costs: IterationStats,
-    /// Planning problems solved.
+    /// Planning problems (segments) that were solved, or worked on until it was clear that they are
+    /// not their sample's hardest.
     pub evaluated: usize,
-    /// Planning problems that pruning made unnecessary.
+    /// Planning problems that pruning left out.
     pub skipped: usize,
 }
 
@@ -78,8 +81,69 @@ where
 {
     config.validate()?;
     check_single(start, goal)?;
+    let ends = [Ends { start: start.clone(), goal: goal.clone(), seed }];
+    let found = side_by_side(config, world, generator, &ends, watch)?;
+    Ok(found.into_iter().next().expect("one search, one result"))
+}
+
+/// A search for each of `B` pairs: `starts` (`[B]`, or `[1]` for all), `goals[B]` and `seeds[B]`.
+/// What each finds is what [`search`] finds alone. They go on side by side, and where their frames
+/// can be [joined](Frames::join), the segments of all of them are planned in the same calls.
+///
+/// # Errors
+/// As [`search`], and lengths that disagree; the first error ends all.
+pub fn search_batch<W, G>(
+    config: &HvfConfig,
+    world: &W,
+    generator: &G,
+    [starts, goals]: [&W::Frames; 2],
+    seeds: &[u64],
+    watch: Watch<'_, W::Frames>,
+) -> Result<Vec<SearchResult<W::Frames>>>
+where
+    W: WorldModel,
+    G: SubgoalModel<W::Frames>,
+{
+    config.validate()?;
+    let count = goals.len();
+    for (argument, found) in [("seeds", seeds.len()), ("starts", starts.len())] {
+        if found != count && (argument, found) != ("starts", 1) {
+            return Err(Error::invalid(
+                argument,
+                format!("must be as many as goals ({count}), got {found}"),
+            ));
+        }
+    }
+    let pair = |(episode, &seed): (usize, &u64)| {
+        let start = starts.select(&[if starts.len() == 1 { 0 } else { episode }])?;
+        Ok(Ends { start, goal: goals.select(&[episode])?, seed })
+    };
+    let ends: Vec<Ends<W::Frames>> = seeds.iter().enumerate().map(pair).collect::<Result<_>>()?;
+    side_by_side(config, world, generator, &ends, watch)
+}
+
+/// What one search lies between, and its seed.
+struct Ends<F> {
+    start: F,
+    goal: F,
+    seed: u64,
+}
+
+/// Searches, each between two frames.
+fn side_by_side<W, G>(
+    config: &HvfConfig,
+    world: &W,
+    generator: &G,
+    ends: &[Ends<W::Frames>],
+    watch: Watch<'_, W::Frames>,
+) -> Result<Vec<SearchResult<W::Frames>>>
+where
+    W: WorldModel,
+    G: SubgoalModel<W::Frames>,
+{
     if config.subgoals == 0 {
-        return plan_directly(config, world, start, goal, seed, watch.interrupt);
+        let one = |ends| plan_directly(config, world, ends, watch.interrupt);
+        return ends.iter().map(one).collect();
     }
     let latent_dim = generator.latent_dim();
     let dimensions = config.subgoals.saturating_mul(latent_dim);
@@ -94,50 +158,47 @@ where
     }
     let prior = Initial::Normal { mean: vec![0.0; dimensions], std: vec![1.0; dimensions] };
     let prior = [Start::from(prior)];
-    let streams = [Stream { seed, purpose: Purpose::Latents, problem: 0 }];
+    let stream = |ends: &Ends<_>| Stream { seed: ends.seed, purpose: Purpose::Latents, problem: 0 };
+    let streams: Vec<Stream> = ends.iter().map(stream).collect();
     let space = Space::from(Bounds::unbounded(dimensions));
-    if config.segment_cost == SegmentCost::Likelihood {
-        let mut samples =
-            Likelihoods { generator, start, goal, config, latent_dim, watch, latest: None };
-        let outcome = minimise(&config.cem, &space, &prior, &streams, &mut samples);
-        let latest = samples.latest.take().map(|solution| samples.found(&solution));
-        if let Err(error) = outcome {
-            if let Some(Ok(partial)) = latest {
-                (watch.partial)(partial);
+    let partially = |found: Option<Vec<SearchResult<W::Frames>>>| {
+        found.into_iter().flatten().for_each(watch.partial);
+    };
+    match config.segment_cost {
+        SegmentCost::Planned => {
+            let mut samples = Samples::new(config, world, generator, ends, watch);
+            let outcome = minimise(&config.cem, &space, &prior, &streams, &mut samples);
+            let found = samples.found();
+            match outcome {
+                Ok(_) => Ok(found.expect("an iteration was finished")),
+                Err(error) => {
+                    partially(found);
+                    Err(error)
+                }
             }
-            return Err(error);
         }
-        let mut found = latest.expect("an iteration was finished")?;
-        let ends = [start, &found.subgoals, goal];
-        match plan_along(config, world, ends, seed, watch.interrupt) {
-            Ok(plans) => found.plans = plans,
-            Err(error) => {
-                (watch.partial)(found);
+        SegmentCost::Likelihood => {
+            let mut samples = Likelihoods::new(config, generator, ends, watch);
+            let outcome = minimise(&config.cem, &space, &prior, &streams, &mut samples);
+            let found = samples.found();
+            if let Err(error) = outcome {
+                partially(found.unwrap_or(None));
                 return Err(error);
             }
-        }
-        return Ok(found);
-    }
-    let mut samples = Samples {
-        config,
-        world,
-        generator,
-        start,
-        goal,
-        seed,
-        watch,
-        latent_dim,
-        latest: None,
-        best: None,
-        counts: Vec::new(),
-    };
-    let outcome = minimise(&config.cem, &space, &prior, &streams, &mut samples);
-    let latest = samples.latest.take().map(|solution| samples.found(&solution));
-    match outcome {
-        Ok(_) => Ok(latest.expect("an iteration was finished")),
-        Err(error) => {
-            latest.map(watch.partial);
-            Err(error)
+            let mut found = found?.expect("an iteration was finished");
+            match plan_along(config, world, ends, &found, watch.interrupt) {
+                Ok(plans) => {
+                    let mut plans = plans.into_iter();
+                    for result in &mut found {
+                        result.plans = plans.by_ref().take(config.subgoals + 1).collect();
+                    }
+                    Ok(found)
+                }
+                Err(error) => {
+                    partially(Some(found));
+                    Err(error)
+                }
+            }
         }
     }
 }
@@ -153,12 +214,10 @@ fn latents_of(solution: &Solution, subgoals: usize) -> Array2<f32> {
 fn plan_directly<W: WorldModel>(
     config: &HvfConfig,
     world: &W,
-    start: &W::Frames,
-    goal: &W::Frames,
-    seed: u64,
+    Ends { start, goal, seed }: &Ends<W::Frames>,
     interrupt: Interrupt<'_>,
 ) -> Result<SearchResult<W::Frames>> {
-    let stream = Stream { seed, purpose: Purpose::Actions, problem: 0 };
+    let stream = Stream { seed: *seed, purpose: Purpose::Actions, problem: 0 };
     let describe = |_| "the plan to the goal".into();
     let plan = plan_one(&config.mpc, world, [start, goal], stream, &describe, interrupt)?;
     Ok(SearchResult {
@@ -170,26 +229,27 @@ fn plan_directly<W: WorldModel>(
     })
 }
 
-/// Plans the segments of one way: from `start[1]` over `subgoals[K]` to `goal[1]`.
+/// Plans all segments along what was found, way after way.
 fn plan_along<W: WorldModel>(
     config: &HvfConfig,
     world: &W,
-    [start, subgoals, goal]: [&W::Frames; 3],
-    seed: u64,
+    ends: &[Ends<W::Frames>],
+    found: &[SearchResult<W::Frames>],
     interrupt: Interrupt<'_>,
 ) -> Result<Vec<Plan>> {
-    let (count, mut plans) = (subgoals.len(), Vec::new());
-    for segment in 0..=count {
-        let from = match segment {
-            0 => start.clone(),
-            _ => subgoals.select(&[segment - 1])?,
-        };
-        let to = if segment == count { goal.clone() } else { subgoals.select(&[segment])? };
-        let stream = segment_stream(seed, 0, 0, segment);
-        let describe = |_| format!("segment {segment}");
-        plans.push(plan_one(&config.mpc, world, [&from, &to], stream, &describe, interrupt)?);
-    }
-    Ok(plans)
+    let ways: Vec<Ways<'_, W::Frames>> = ends
+        .iter()
+        .zip(found)
+        .map(|(Ends { start, goal, seed }, found)| {
+            let subgoals = found.subgoals.clone();
+            Ways { start, goal, subgoals, seed: *seed }
+        })
+        .collect();
+    let describe = |number: usize| format!("segment {}", number % (config.subgoals + 1));
+    let share_rollouts = config.share_rollouts;
+    let planner = Planner { mpc: &config.mpc, world, share_rollouts, interrupt };
+    let segments = Segments::new(planner, &ways, config.subgoals, 0, &describe)?;
+    segments.plan(&(0..segments.len()).collect::<Vec<_>>(), None)
 }
 
 /// What a generator draws for `latents[M, K, L]`: `M * K` frames, or an error.

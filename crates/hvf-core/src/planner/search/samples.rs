@@ -1,204 +1,208 @@
 //! Samples of subgoals as an objective: latents to images to planning costs.
 
-use ndarray::{Array2, Array3};
+use ndarray::{Array2, Array3, Axis};
 
-use super::{
-    decoded, latents_of, segment_stream, HvfConfig, Reduction, SearchResult, SearchStats, Watch,
-};
+use super::pruning::plan_what_matters;
+use super::segments::{Planner, Segments, Ways};
+use super::{decoded, latents_of, Ends, HvfConfig, Reduction, SearchResult, SearchStats, Watch};
 use crate::planner::cem::{elites, BestOf, Call, Objective, Solution};
 use crate::planner::model::{Frames, SubgoalModel, WorldModel};
-use crate::planner::mpc::{plan, Plan, Problems};
-use crate::planner::sampler::Stream;
+use crate::planner::mpc::Plan;
 use crate::Result;
 
-/// A sample on its way to completion: the plans of its segments so far.
-#[derive(Clone, Debug, Default)]
-struct Sample {
-    plans: Vec<Plan>,
-}
-
-impl Sample {
-    fn cost(&self, reduction: Reduction) -> f32 {
-        reduction.of(self.plans.iter().map(|plan| plan.cost))
-    }
-}
+/// Most images that are drawn together, where several searches could be: 50 MB of 64 x 64 bytes.
+const MOST_IMAGES: usize = 1 << 12;
 
 /// What belongs to the candidate that the optimisation would answer with.
-pub(super) struct Best<F> {
+struct Best<F> {
     subgoals: F,
     cost: f32,
     plans: Vec<Plan>,
 }
 
-/// Samples of subgoals as an objective: latents to images to planning costs.
-pub(super) struct Samples<'a, W: WorldModel, G> {
-    pub config: &'a HvfConfig,
-    pub world: &'a W,
-    pub generator: &'a G,
-    pub start: &'a W::Frames,
-    pub goal: &'a W::Frames,
-    pub seed: u64,
-    pub watch: Watch<'a, W::Frames>,
+/// One search of the batch, between its iterations.
+struct Episode<F> {
     /// How the optimisation stood after its last iteration.
-    pub latest: Option<Solution>,
-    pub latent_dim: usize,
-    pub best: Option<Best<W::Frames>>,
+    latest: Option<Solution>,
+    best: Option<Best<F>>,
     /// Planning problems (evaluated, skipped) of every iteration.
-    pub counts: Vec<(usize, usize)>,
+    counts: Vec<(usize, usize)>,
 }
 
-impl<W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'_, W, G> {
-    /// What the search answers with, if `solution` is what the optimisation does.
-    pub fn found(&self, solution: &Solution) -> SearchResult<W::Frames> {
-        let best = self.best.as_ref().expect("at least one sample was completed");
-        let history = solution.history.iter().zip(&self.counts);
-        SearchResult {
-            subgoals: best.subgoals.clone(),
-            latents: latents_of(solution, self.config.subgoals),
-            cost: solution.cost,
-            plans: best.plans.clone(),
-            history: history
-                .map(|(&costs, &(evaluated, skipped))| SearchStats { costs, evaluated, skipped })
-                .collect(),
+/// Samples of subgoals as an objective: latents to images to planning costs, one problem for each
+/// search of a batch.
+pub(super) struct Samples<'a, W: WorldModel, G> {
+    config: &'a HvfConfig,
+    world: &'a W,
+    generator: &'a G,
+    ends: &'a [Ends<W::Frames>],
+    watch: Watch<'a, W::Frames>,
+    latent_dim: usize,
+    episodes: Vec<Episode<W::Frames>>,
+    /// Episodes that take part in this iteration.
+    active: Vec<usize>,
+}
+
+impl<'a, W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'a, W, G> {
+    pub fn new(
+        config: &'a HvfConfig,
+        world: &'a W,
+        generator: &'a G,
+        ends: &'a [Ends<W::Frames>],
+        watch: Watch<'a, W::Frames>,
+    ) -> Self {
+        let episode = |_: &_| Episode { latest: None, best: None, counts: Vec::new() };
+        Self {
+            config,
+            world,
+            generator,
+            ends,
+            watch,
+            latent_dim: generator.latent_dim(),
+            episodes: ends.iter().map(episode).collect(),
+            active: Vec::new(),
         }
     }
 
-    /// Plans segment `segment` of the samples `which`; `decoded` holds their subgoals.
-    fn plan_segment(
-        &self,
-        iteration: usize,
-        segment: usize,
-        which: &[usize],
-        decoded: &W::Frames,
-        samples: &mut [Sample],
-    ) -> Result<()> {
+    /// What each search answers with as it stands; nothing before the first iteration is done.
+    pub fn found(self) -> Option<Vec<SearchResult<W::Frames>>> {
         let subgoals = self.config.subgoals;
-        let subgoal = |number: usize| -> Result<W::Frames> {
-            let index: Vec<usize> = which.iter().map(|sample| sample * subgoals + number).collect();
-            decoded.select(&index)
+        let answer = |Episode { latest, best, counts }| {
+            let (solution, best): (Solution, Best<_>) = (latest?, best?);
+            let history = solution.history.iter().zip(counts);
+            Some(SearchResult {
+                subgoals: best.subgoals,
+                latents: latents_of(&solution, subgoals),
+                cost: solution.cost,
+                plans: best.plans,
+                history: history
+                    .map(|(&costs, (evaluated, skipped))| SearchStats { costs, evaluated, skipped })
+                    .collect(),
+            })
         };
-        let starts = if segment == 0 { self.start.clone() } else { subgoal(segment - 1)? };
-        let goals = if segment == subgoals {
-            self.goal.select(&vec![0; which.len()])?
-        } else {
-            subgoal(segment)?
-        };
-        let streams: Vec<Stream> = which
-            .iter()
-            .map(|&sample| segment_stream(self.seed, iteration, sample, segment))
-            .collect();
-        let problems = Problems {
-            starts: &starts,
-            goals: &goals,
-            streams: &streams,
-            warm_start: None,
-            share_rollouts: self.config.share_rollouts,
-            describe: &|problem| {
-                format!("segment {segment} of sample {} in iteration {iteration}", which[problem])
-            },
-        };
-        let plans = plan(&self.config.mpc, self.world, &problems, self.watch.interrupt)?;
-        for (&sample, plan) in which.iter().zip(plans) {
-            samples[sample].plans.push(plan);
-        }
-        Ok(())
+        self.episodes.into_iter().map(answer).collect()
     }
 
-    /// Plans the segments after the first of all samples that can still become elites.
-    fn complete(&self, call: Call<'_>, decoded: &W::Frames, samples: &mut [Sample]) -> Result<()> {
-        let prune = self.config.prune && self.config.reduction == Reduction::Max;
-        let elites = self.config.cem.elites;
-        let mut order: Vec<usize> = (0..samples.len()).collect();
-        if prune {
-            let first: Vec<f32> = samples.iter().map(|sample| sample.plans[0].cost).collect();
-            order.sort_by(|&a, &b| first[a].total_cmp(&first[b]).then(a.cmp(&b)));
+    /// Plans of the segments of all samples, as far as they matter.
+    fn plans(&self, segments: &Segments<'_, W>, call: Call<'_>) -> Result<Vec<Option<Plan>>> {
+        if self.config.prune && self.config.reduction == Reduction::Max {
+            return plan_what_matters(self.config, segments, call.kept_costs);
         }
-        let mut complete: Vec<f32> = call.kept_costs[0].to_vec();
-        let chunk = if prune { elites } else { samples.len() };
-        for chunk in order.chunks(chunk) {
-            let limit = complete.get(elites - 1).copied().unwrap_or(f32::INFINITY);
-            let mut alive = chunk.to_vec();
-            for segment in 1..=self.config.subgoals {
-                if prune {
-                    alive.retain(|&sample| samples[sample].cost(Reduction::Max) <= limit);
-                }
-                if alive.is_empty() {
-                    break;
-                }
-                self.plan_segment(call.iteration, segment, &alive, decoded, samples)?;
-            }
-            complete
-                .extend(alive.iter().map(|&sample| samples[sample].cost(self.config.reduction)));
-            complete.sort_by(f32::total_cmp);
-        }
-        Ok(())
+        let all: Vec<usize> = (0..segments.len()).collect();
+        Ok(segments.plan(&all, None)?.into_iter().map(Some).collect())
     }
 
-    /// Keeps what belongs to the candidate that the optimisation would answer with now.
+    /// Keeps what belongs to the candidate that the optimisation of an episode would answer with
+    /// now; `plans` are those of all segments of its samples, of which `first` is the first.
     fn remember_best(
         &mut self,
-        call: Call<'_>,
-        samples: &mut [Sample],
+        (episode, kept): (usize, &[f32]),
+        (segments, first): (&Segments<'_, W>, usize),
+        plans: &[Option<Plan>],
         costs: &[f32],
         decoded: &W::Frames,
     ) -> Result<()> {
         let subgoals = self.config.subgoals;
-        let segments = subgoals + 1;
+        let width = subgoals + 1;
         // Ranked as the optimisation ranks them, so that its latents are those of these images.
         let Some(&sample) = elites(&[], costs.into(), 1).first() else {
             return Ok(());
         };
-        if samples[sample].plans.len() != segments {
+        let plans = &plans[sample * width..(sample + 1) * width];
+        let Some(mut plans) = plans.iter().cloned().collect::<Option<Vec<Plan>>>() else {
             return Ok(());
-        }
+        };
         // The best so far competes with the last iteration's only if it was kept as an elite.
         let rival = match self.config.cem.best {
-            BestOf::Last if call.kept_costs[0].is_empty() => None,
-            _ => self.best.as_ref(),
+            BestOf::Last if kept.is_empty() => None,
+            _ => self.episodes[episode].best.as_ref(),
         };
-        if rival.is_none_or(|best| costs[sample] < best.cost) {
-            let index: Vec<usize> = (sample * subgoals..(sample + 1) * subgoals).collect();
-            self.best = Some(Best {
-                subgoals: decoded.select(&index)?,
-                cost: costs[sample],
-                plans: std::mem::take(&mut samples[sample].plans),
-            });
+        if rival.is_some_and(|best| costs[sample] >= best.cost) {
+            return Ok(());
         }
+        // Of all but the hardest segment, planning may have ended early.
+        let early: Vec<usize> = (0..width)
+            .filter(|&segment| plans[segment].history.len() < self.config.mpc.cem.iterations)
+            .collect();
+        let numbers: Vec<usize> =
+            early.iter().map(|segment| first + sample * width + segment).collect();
+        if !numbers.is_empty() {
+            for (&segment, plan) in early.iter().zip(segments.plan(&numbers, None)?) {
+                plans[segment] = plan;
+            }
+        }
+        let index: Vec<usize> = (sample * subgoals..(sample + 1) * subgoals).collect();
+        self.episodes[episode].best =
+            Some(Best { subgoals: decoded.select(&index)?, cost: costs[sample], plans });
         Ok(())
     }
 }
 
 impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> {
+    fn problems_per_call(&self) -> usize {
+        MOST_IMAGES / self.config.cem.samples.saturating_mul(self.config.subgoals)
+    }
+
     fn costs(&mut self, call: Call<'_>, candidates: Array3<f32>) -> Result<Array2<f32>> {
         (self.watch.interrupt)()?;
-        let (_, count, _) = candidates.dim();
-        let subgoals = self.config.subgoals;
-        let latents = candidates
-            .into_shape_with_order((count, subgoals, self.latent_dim))
-            .expect("a candidate has K x L values");
-        let decoded = decoded(self.generator, self.start, latents)?;
-        let mut samples = vec![Sample::default(); count];
-        let all: Vec<usize> = (0..count).collect();
-        self.plan_segment(call.iteration, 0, &all, &decoded, &mut samples)?;
-        self.complete(call, &decoded, &mut samples)?;
+        let (problems, count, _) = candidates.dim();
+        let (subgoals, ends, iteration) = (self.config.subgoals, self.ends, call.iteration);
+        let mut ways = Vec::with_capacity(problems);
+        for (latents, &episode) in candidates.axis_iter(Axis(0)).zip(call.problems) {
+            let Ends { start, goal, seed } = &ends[episode];
+            let latents = latents
+                .to_shape((count, subgoals, self.latent_dim))
+                .expect("a candidate has K x L values")
+                .into_owned();
+            let subgoals = decoded(self.generator, start, latents)?;
+            ways.push(Ways { start, goal, subgoals, seed: *seed });
+        }
+        let width = subgoals + 1;
+        let describe = |number: usize| {
+            let (sample, segment) = (number / width % count, number % width);
+            let segment = format!("segment {segment} of sample {sample} in iteration {iteration}");
+            match ends.len() {
+                1 => segment,
+                _ => format!("{segment} of problem {}", call.problems[number / width / count]),
+            }
+        };
+        let planner = Planner {
+            mpc: &self.config.mpc,
+            world: self.world,
+            share_rollouts: self.config.share_rollouts,
+            interrupt: self.watch.interrupt,
+        };
+        let segments = Segments::new(planner, &ways, subgoals, iteration, &describe)?;
+        let plans = self.plans(&segments, call)?;
 
-        let segments = subgoals + 1;
-        let evaluated: usize = samples.iter().map(|sample| sample.plans.len()).sum();
-        self.counts.push((evaluated, count * segments - evaluated));
-        let costs: Vec<f32> = samples
-            .iter()
-            .map(|sample| match sample.plans.len() == segments {
-                true => sample.cost(self.config.reduction),
-                false => f32::INFINITY,
-            })
-            .collect();
-        self.remember_best(call, &mut samples, &costs, &decoded)?;
-        Ok(Array2::from_shape_vec((1, count), costs).expect("one cost per sample"))
+        let reduction = self.config.reduction;
+        let cost = |plans: &[Option<Plan>]| {
+            let costs: Option<Vec<f32>> =
+                plans.iter().map(|plan| plan.as_ref().map(|plan| plan.cost)).collect();
+            costs.map_or(f32::INFINITY, |costs| reduction.of(costs.into_iter()))
+        };
+        let costs: Vec<f32> = plans.chunks_exact(width).map(cost).collect();
+        for (problem, &episode) in call.problems.iter().enumerate() {
+            let first = problem * count * width;
+            let plans = &plans[first..first + count * width];
+            let evaluated = plans.iter().flatten().count();
+            self.episodes[episode].counts.push((evaluated, plans.len() - evaluated));
+            self.remember_best(
+                (episode, call.kept_costs[problem]),
+                (&segments, first),
+                plans,
+                &costs[problem * count..(problem + 1) * count],
+                &ways[problem].subgoals,
+            )?;
+        }
+        self.active.extend_from_slice(call.problems);
+        Ok(Array2::from_shape_vec((problems, count), costs).expect("one cost per sample"))
     }
 
     fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
-        let solution = solutions[0];
-        self.latest = Some(solution.clone());
-        self.watch.iterated(solution, self.config.cem.iterations)
+        for (episode, &solution) in self.active.drain(..).zip(solutions) {
+            self.episodes[episode].latest = Some(solution.clone());
+        }
+        self.watch.iterated(solutions, self.config.cem.iterations)
     }
 }

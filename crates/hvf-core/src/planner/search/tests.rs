@@ -205,6 +205,105 @@ fn pruning_and_sharing_skip_work() {
     assert!(lazy.rollouts.get() < diligent.rollouts.get());
 }
 
+/// Which segment is the hardest does not have to be guessed right.
+#[test]
+fn only_what_can_be_the_hardest_segment_is_planned_to_its_end() {
+    let mut config = small(3);
+    config.mpc.cem = CemConfig { iterations: 6, min_variance: 0.0, ..config.mpc.cem };
+    let rollouts = |config: &HvfConfig, world: PointMass| {
+        run_in(config, &world, &Positions::new(), 1).unwrap();
+        world.rollouts.get() as f64
+    };
+    let world = || PointMass { shares: false, ..PointMass::new() };
+    let all = rollouts(&HvfConfig { prune: false, ..config.clone() }, world());
+    let least = rollouts(&config, world());
+    // 4 segments of 24 samples; were only whole plans left out, one of each and 4 of 5 elites.
+    assert!(least < 0.4 * all, "{least} of {all} rollouts");
+}
+
+#[test]
+fn how_many_samples_are_completed_at_a_time_changes_nothing() {
+    for chunk in [1, 3, 24, usize::MAX] {
+        let config = HvfConfig { chunk: Some(chunk), ..small(2) };
+        assert_same(&run(&config, 2), &run(&small(2), 2));
+    }
+    let error = HvfConfig { chunk: Some(0), ..small(2) }.validate().unwrap_err().to_string();
+    assert!(error.starts_with("chunk: must be at least 1"), "{error}");
+}
+
+#[test]
+fn the_best_of_the_last_iteration_of_a_plan_is_not_cut_short() {
+    for seed in 0..4 {
+        let mut config = small(2);
+        config.mpc.cem.best = BestOf::Last;
+        let plain = HvfConfig { prune: false, share_rollouts: false, ..config.clone() };
+        assert_same(&run(&config, seed), &run(&plain, seed));
+    }
+}
+
+#[test]
+fn searches_side_by_side_find_what_each_finds_alone() {
+    let starts = Points(vec![[0.0, 0.0], [1.0, -1.0], [0.5, 4.0]]);
+    let goals = Points(vec![[6.0, 3.0], [-4.0, 2.0], [0.0, -3.0]]);
+    let seeds = [4, 4, 9];
+    for (subgoals, segment_cost) in
+        [(0, SegmentCost::Planned), (2, SegmentCost::Planned), (2, SegmentCost::Likelihood)]
+    {
+        // Latents are learned well enough in some searches before the last iteration.
+        let mut config = HvfConfig { segment_cost, ..small(subgoals) };
+        config.cem = CemConfig { iterations: 8, min_variance: 0.5, ..config.cem };
+        let (world, generator) = (PointMass::new(), Positions::new());
+        let all = [&starts, &goals];
+        let found =
+            search_batch(&config, &world, &generator, all, &seeds, Watch::nobody()).unwrap();
+        for (episode, found) in found.iter().enumerate() {
+            let [start, goal] = all.map(|frames| frames.select(&[episode]).unwrap());
+            let alone = config.search(&world, &generator, &start, &goal, seeds[episode]).unwrap();
+            assert_same(found, &alone);
+            assert_eq!(found.history, alone.history);
+        }
+        if subgoals > 0 {
+            let ends: Vec<usize> = found.iter().map(|found| found.history.len()).collect();
+            assert!(ends.iter().min() < ends.iter().max(), "all took {ends:?}");
+        }
+        let one = starts.select(&[1]).unwrap();
+        let from_one =
+            search_batch(&config, &world, &generator, [&one, &goals], &seeds, Watch::nobody());
+        assert_same(&from_one.unwrap()[1], &found[1]);
+    }
+}
+
+#[test]
+fn searches_side_by_side_share_their_calls() {
+    let config = HvfConfig { prune: false, share_rollouts: false, ..small(2) };
+    let ends = |count: usize| {
+        [Points(vec![START; count]), Points((0..count).map(|i| [i as f32, 3.0]).collect())]
+    };
+    let calls = |count: usize| {
+        let [starts, goals] = ends(count);
+        let world = PointMass::new();
+        let seeds: Vec<u64> = (0..count as u64).collect();
+        let all = [&starts, &goals];
+        search_batch(&config, &world, &Positions::new(), all, &seeds, Watch::nobody()).unwrap();
+        world.calls.get()
+    };
+    assert_eq!(calls(1), calls(5));
+}
+
+#[test]
+fn batches_whose_lengths_disagree_are_refused() {
+    let points = |count: usize| Points(vec![START; count]);
+    let go = |starts: usize, goals: usize, seeds: &[u64]| {
+        let (world, generator) = (PointMass::new(), Positions::new());
+        let ends = [&points(starts), &points(goals)];
+        search_batch(&small(1), &world, &generator, ends, seeds, Watch::nobody())
+            .unwrap_err()
+            .to_string()
+    };
+    assert!(go(2, 3, &[0; 3]).starts_with("starts: must be as many as goals (3), got 2"));
+    assert!(go(3, 3, &[0; 2]).starts_with("seeds: must be as many as goals (3), got 2"));
+}
+
 #[test]
 fn the_mean_is_never_pruned() {
     let found = run(&HvfConfig { reduction: Reduction::Mean, ..small(2) }, 1);

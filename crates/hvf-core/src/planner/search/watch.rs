@@ -13,7 +13,8 @@ pub struct Progress {
     pub iteration: usize,
     /// Most iterations.
     pub iterations: usize,
-    /// Cost of what the search would answer now.
+    /// Cost of what the search would answer now; of several searches, the mean of those that still
+    /// go on.
     pub cost: f32,
 }
 
@@ -24,7 +25,8 @@ pub struct Watch<'a, F> {
     /// Told after every iteration; its error ends the search.
     pub progress: &'a dyn Fn(Progress) -> Result<()>,
     /// Given, where an error ends the search after its first iteration, what it would have answered
-    /// after the last iteration that was finished; by likelihood, without plans.
+    /// after the last iteration that was finished; by likelihood, without plans. Of several
+    /// searches, one by one, if all of them have got so far.
     pub partial: &'a dyn Fn(SearchResult<F>),
 }
 
@@ -34,10 +36,12 @@ impl<F> Watch<'_, F> {
         Self { interrupt: &|| Ok(()), progress: &|_| Ok(()), partial: &|_| () }
     }
 
-    /// Tells how the optimisation stands, of so many iterations.
-    pub(super) fn iterated(&self, solution: &Solution, iterations: usize) -> Result<()> {
-        let iteration = solution.history.len();
-        (self.progress)(Progress { iteration, iterations, cost: solution.cost })
+    /// Tells how the optimisation of the searches that go on stands, of so many iterations.
+    pub(super) fn iterated(&self, solutions: &[&Solution], iterations: usize) -> Result<()> {
+        let iteration = solutions[0].history.len();
+        let sum: f64 = solutions.iter().map(|solution| f64::from(solution.cost)).sum();
+        let cost = (sum / solutions.len() as f64) as f32;
+        (self.progress)(Progress { iteration, iterations, cost })
     }
 }
 
