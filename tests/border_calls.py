@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 import hvf_core
+import stub_docs
 from border_worlds import (
     A2,
     A3,
@@ -199,14 +200,11 @@ def readable(kind: type) -> list[str]:
 
 def public() -> Iterator[str]:
     """Everything in the module that can be called, by name: classes, their methods, functions."""
-    for name in hvf_core.__all__:
-        thing = getattr(hvf_core, name)
+    for name, thing in stub_docs.public():
         if callable(thing):
             yield name
-        if isinstance(thing, type):
-            for part in vars(thing):
-                if callable(getattr(thing, part)) and (part[0] != "_" or part == "__getitem__"):
-                    yield f"{name}.{part}"
+        if isinstance(thing, type) and "__getitem__" in vars(thing):
+            yield f"{name}.__getitem__"
 
 
 Maker: TypeAlias = Callable[[Choose], Call]

@@ -192,10 +192,12 @@ def ordered(choose: Choose, array: np.ndarray) -> Any:
         array = packed(array)
     elif how == 5 and array.ndim:
         array = array[::2]
-    elif how == 6 and array.ndim and array.shape[0]:
-        # NumPy counts an axis without items as one.
-        item = int(np.prod([max(n, 1) for n in array.shape[1:]])) * max(array.itemsize, 1)
-        array = np.broadcast_to(array[:1], (2**56 // item, *array.shape[1:]))
+    elif how == 6 and array.size:
+        # More along one axis than any memory has room for.
+        axis = choose(max(array.ndim, 1))
+        item = array.nbytes // max(array.shape[axis], 1) if array.ndim else 1
+        shape = [*array.shape[:axis], 2**56 // item, *array.shape[axis + 1 :]]
+        array = np.broadcast_to(array.take([0], axis) if array.ndim else array, shape)
     elif how == 7 and array.ndim < 8:
         array = array.reshape((1,) * MOST_AXES + array.shape)
     elif how == 8:

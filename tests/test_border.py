@@ -21,12 +21,14 @@ import hvf_core
 import nonsense
 import processes
 from border_worlds import (
+    A3,
     KEYPOINT,
     KEYPOINT_FRAMES,
     KEYPOINT_PARTS,
     KEYPOINT_WORLD,
     LATENT,
     LATENT_PARTS,
+    LAYER_FRAMES,
     LAYER_PARTS,
     LAYER_WORLD,
     LAYERS,
@@ -384,6 +386,26 @@ class Raising:
 def test_names_that_are_no_text_are_refused() -> None:
     with pytest.raises(ValueError, match=r"^dynamics\['activation'\]: "):
         latent("activation", "\ud800")
+
+
+def test_calls_of_worlds_are_not_larger_than_memory() -> None:
+    """Actions that repeat themselves, and answers that would be larger than they are."""
+    expected = r"^actions: must be at most \d+ numbers, and lead to no more, got \["
+    for world, frames, actions in WORLDS:
+        problems, candidates, _, dim = actions.shape
+        long = np.broadcast_to(actions[:, :, :1], (problems, candidates, 2**25, dim))
+        with pytest.raises(ValueError, match=expected):
+            world.rollout_costs(frames, frames, long)
+        if hasattr(world, "shared_rollout_costs"):
+            with pytest.raises(ValueError, match=expected):
+                world.shared_rollout_costs(
+                    frames[0], frames, np.broadcast_to(long[0, :1], (9, *long.shape[2:]))
+                )
+    wide = np.broadcast_to(A3[:, :1, :1], (3, 1, 2**23, 3))
+    with pytest.raises(ValueError, match=expected):
+        LAYER_WORLD.rollout(LAYER_FRAMES, wide)
+    with pytest.raises(ValueError, match=expected):
+        LAYER_WORLD.predict(LAYER_FRAMES, wide[:, 0, : 2**17])
 
 
 # --- indices ----------------------------------------------------------------------------------

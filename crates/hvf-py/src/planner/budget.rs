@@ -12,28 +12,28 @@ pub const SHRINKAGE: f64 = 0.1;
 /// What these arguments mean, as a part of the documentation of both classes.
 macro_rules! budget_doc {
     () => {
-        "    samples: Samples per iteration, at least one: `D` plans, or `M` sets of subgoals.
+        "    samples: Samples per iteration: candidate plans (`D`), or sets of subgoals (`M`).
     elites: Samples that the distribution is refitted to (`D*`, `M*`), at most `samples`.
     iterations: Most iterations.
-    min_variance: Variance below which a problem is done, in squared units of what is searched,
-        which is actions or latents.
-    keep_elites: Best samples that compete again in the next iteration, with the cost they had; at
-        most `elites`.
-    best: Where the answer comes from: 'all', the sample with the lowest cost of all iterations, or
-        'last', that of the last iteration that was run (kept elites included), as in the authors'
-        released code.
+    min_variance: Variance below which a problem is done, in squared units of an action or a
+        latent.
+    keep_elites: Best samples that compete again in the next iteration, with the cost they had;
+        at most `elites`.
+    best: Where the answer comes from: 'all', the sample with the lowest cost of all
+        iterations, or 'last', that of the last iteration that was run (kept elites included),
+        as in the authors' released code.
     momentum: Share of the old mean, deviations and correlations that a refit keeps, from 0 to
         below 1 (iCEM's alpha).
-    samples_decay: By how much each iteration has fewer samples than the one before, at least 1:
-        `samples / samples_decay**i`, but no fewer than twice the elites (iCEM's gamma).
-    temperature: Elites count by `exp((best - cost) / temperature)` in the refit (MPPI's lambda, in
-        units of a cost); None for all alike.
-    min_std: Least standard deviation of the refitted distribution, in units of what is searched.
-        Above the root of `min_variance` no problem is done early.
+    samples_decay: By how much each iteration has fewer samples than the one before, at least
+        1: `samples / samples_decay**i`, but no fewer than twice the elites (iCEM's gamma).
+    temperature: Elites count by `exp((best - cost) / temperature)` in the refit (MPPI's
+        lambda, in units of a cost); None for all alike.
+    min_std: Least standard deviation of the refitted distribution, in units of an action
+        or a latent. Above the root of `min_variance` no problem is done early.
     covariance: What the refit keeps of the elites' covariance: 'diagonal', the variances, or
         'full', the correlations, too, for samples of at most 256 dimensions.
-    shrinkage: How far the correlations of 'full' are shrunk towards none, from 1e-6 to 1; 1 draws
-        as 'diagonal' does."
+    shrinkage: How far the correlations of 'full' are shrunk towards none, from 1e-6 to 1; 1
+        draws as 'diagonal' does."
     };
 }
 pub(super) use budget_doc;

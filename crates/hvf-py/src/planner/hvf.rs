@@ -10,11 +10,11 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use super::arguments::seeds;
+use super::arguments::{keywords, one_frame, seeds};
 use super::border::{with_border, Axes, Border, FramesOf, Generator};
 use super::budget::{budget_doc, budget_getters, Budget, SHRINKAGE};
 use super::results::{PyPlans, PySearchResult};
-use super::visual_mpc::{keywords, one_frame, PyVisualMpc};
+use super::visual_mpc::PyVisualMpc;
 use super::{raised, signals};
 use crate::arguments::{
     check_problems, instance, text, wrong_type, Flag, Given, Real, Text, Whole,
@@ -26,8 +26,9 @@ use crate::threads::detached;
 ///
 /// The cross-entropy method over the latents of `subgoals` images, from a standard normal. A
 /// sample costs what the hardest of its `subgoals + 1` segments costs to plan with `mpc` (paper,
-/// section 4 and algorithm 2). Objects are immutable, compare and hash by value, and can be copied
-/// and pickled.
+/// section 4 and algorithm 2). Subgoals, latents, cost and plans of the answer are of one sample;
+/// how segments are planned is for the options of `mpc` to say. Objects are immutable, compare and
+/// hash by value, and can be copied and pickled.
 ///
 /// Args:
 ///     mpc: How a segment is planned; None for `VisualMPC()`.

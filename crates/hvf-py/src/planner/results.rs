@@ -37,14 +37,15 @@ impl PyPlan {
         self.inner.actions.clone().into_pyarray(py)
     }
 
-    /// Predicted cost of these actions: the lowest of the iterations that the planner's `best` says.
+    /// Predicted cost of these actions: the lowest of the iterations that `best` says.
     #[getter]
     fn cost(&self) -> f32 {
         self.inner.cost
     }
 
-    /// Best candidates of the last iteration, best first, float32 `[S, H, A]` with `S` the
-    /// planner's `shift_elites`: what a next plan with this `warm_start` begins with.
+    /// Best candidates of the last iteration, best first, float32 `[S, H, A]`.
+    ///
+    /// `S` is the planner's `shift_elites`. A next plan with this `warm_start` begins with them.
     #[getter]
     fn elites<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f32>> {
         self.inner.elites.clone().into_pyarray(py)

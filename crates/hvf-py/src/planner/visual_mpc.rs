@@ -7,7 +7,9 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use super::arguments::{corner, one_warm_start, seeds, warm_starts, LastPlans};
+use super::arguments::{
+    corner, keywords, one_frame, one_warm_start, seeds, warm_starts, LastPlans,
+};
 use super::border::{with_border, Axes, Border, FramesOf};
 use super::budget::{budget_doc, budget_getters, Budget, SHRINKAGE};
 use super::results::{PyPlan, PyPlans};
@@ -385,29 +387,4 @@ impl PyVisualMpc {
         })?;
         solved.map_err(|error| border.error(py, error))
     }
-}
-
-/// One frame, named in the error if it is more or fewer.
-pub fn one_frame<B: Border>(
-    border: &B,
-    argument: &str,
-    object: &Bound<'_, PyAny>,
-) -> PyResult<FramesOf<B>> {
-    let frames = border.read(argument, object, Axes::OneOrBatch)?;
-    match frames.len() {
-        1 => Ok(frames),
-        count => Err(PyValueError::new_err(format!(
-            "{argument}: must be one uint8 image [H, W, 3] or one frame of the model, got {count} \
-             frames"
-        ))),
-    }
-}
-
-/// `name=value, ..` of a dictionary.
-pub fn keywords(arguments: &Bound<'_, PyDict>) -> PyResult<String> {
-    let parts: Vec<String> = arguments
-        .iter()
-        .map(|(name, value)| Ok(format!("{name}={}", value.repr()?)))
-        .collect::<PyResult<_>>()?;
-    Ok(parts.join(", "))
 }
