@@ -1,7 +1,8 @@
 """Planning in the maze with learned models and with the true simulator: one step, one search.
 
 The paper's full budget (K = 2, M = D = 200, 5 x 5 iterations, H = 5) and how the time of a search
-with learned models grows with M, D, K and H. Medians.
+with learned models grows with M, D, K and H; how many calls of the model and rollouts it takes,
+with pruning and without. Medians.
 
     python benchmarks/planner.py
 """
@@ -12,8 +13,10 @@ import json
 import statistics
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import hvf
 import hvf_core
@@ -31,6 +34,44 @@ def seconds(work: Callable[[int], object], rounds: int) -> float:
         work(number)
         times.append(time.perf_counter() - begin)
     return statistics.median(times)
+
+
+class Counted:
+    """A world that counts its calls and rollouts."""
+
+    def __init__(self, world: Any) -> None:
+        self.world = world
+        self.action_low, self.action_high = world.action_low, world.action_high
+        self.calls = self.rollouts = 0
+
+    def rollout_costs(self, starts: Any, goals: Any, actions: NDArray[np.float32]) -> Any:
+        """Score candidates, ``[B, D]``."""
+        self.calls += 1
+        self.rollouts += actions.shape[0] * actions.shape[1]
+        return self.world.rollout_costs(starts, goals, actions)
+
+    def shared_rollout_costs(self, start: Any, goals: Any, actions: NDArray[np.float32]) -> Any:
+        """Score candidates that all goals share; the time is that of scoring each anew."""
+        self.calls += 1
+        self.rollouts += len(actions)
+        everywhere = np.zeros(len(goals), np.int64)
+        return self.world.rollout_costs(
+            start[everywhere], goals, np.repeat(actions[None], len(goals), axis=0)
+        )
+
+
+def work_of_a_search(world: Any, ends: list[tuple[Any, Any]], prune: bool) -> dict[str, float]:
+    """Median calls and rollouts of full-budget searches between ``ends``."""
+    generator = hvf.load("maze", dynamics="keypoint")[1]
+    search = hvf_core.HVF(mpc=hvf_core.VisualMPC(horizon=5), prune=prune)
+    calls, rollouts = [], []
+    for number, (start, goal) in enumerate(ends):
+        counted = Counted(world)
+        frames = [world.observe(image[None]) for image in (start, goal)]
+        search.search(counted, generator, *frames, seed=number)
+        calls.append(counted.calls)
+        rollouts.append(counted.rollouts)
+    return {"calls": statistics.median(calls), "rollouts": statistics.median(rollouts)}
 
 
 def main() -> None:
@@ -73,6 +114,12 @@ def main() -> None:
                     )
     for name, median in found.items():
         print(f"{name:32} {1e3 * median:10.1f} ms")
+    world, _ = hvf.load("maze", dynamics="keypoint")
+    ends = list(zip(starts[:ROUNDS], goals[:ROUNDS], strict=True))
+    for name, prune in (("pruning", True), ("no pruning", False)):
+        for what, count in work_of_a_search(world, ends, prune).items():
+            found[f"keypoint: search, {name}: {what}"] = count
+            print(f"search, {name}: {count:,.0f} {what}")
     print(json.dumps(found))
 
 

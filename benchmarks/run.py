@@ -29,7 +29,7 @@ from hvf.evaluation.code import code_of
 HERE = Path(__file__).parent
 SCRIPTS = tuple(sorted(path.stem for path in HERE.glob("*.py") if path != Path(__file__)))
 RATES = ("per_second", "per_processor_second")
-"""Names of figures of which more is better; all others are seconds."""
+"""Names of figures of which more is better; of all others (seconds, calls) less is."""
 
 
 def benches() -> tuple[str, ...]:

@@ -96,6 +96,7 @@ HVF_OPTIONS: dict[str, Source] = {
     "prune": of(True, False),
     "reduction": of("max", "mean"),
     "share_rollouts": of(True, False),
+    "chunk": SETTINGS,
     "segment_cost": of("planned", "likelihood"),
 }
 
@@ -111,6 +112,8 @@ class Model:
             self.max_candidates = either(choose, 7, SETTINGS)
         if choose(2):
             self.uses_seeds = either(choose, True)
+        if choose(2):
+            self.pads = either(choose, True)
         if choose(6) == 5:
             self.native = either(choose, MAZE_WORLD)
 
@@ -134,6 +137,29 @@ class Preparer(Model):
 class Observer(Model):
     def observe(self, images: Any) -> Any:
         return self.answer(POINTS[: len(images)])
+
+
+class Frames:
+    """Frames of a class of their own."""
+
+    def __init__(self, points: np.ndarray) -> None:
+        self.points = points
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __getitem__(self, index: Any) -> Any:
+        return type(self)(self.points[index])
+
+
+def joining(choose: Choose) -> Frames:
+    """Frames that can be joined, sometimes to nonsense."""
+
+    def join(parts: list[Any]) -> Any:
+        return either(choose, kind(np.concatenate([part.points for part in parts])))
+
+    kind = type("Joining", (Frames,), {"join": staticmethod(join)})
+    return kind(POINTS)
 
 
 class Generator:
@@ -257,6 +283,8 @@ def add_planning(called: Callable[..., Any], search: bool, batch: bool) -> None:
     def maker(choose: Choose) -> Call:
         kinds = [(kind, POINTS) for kind in (Model, Sharer, Preparer, Observer)]
         world, frames, *_ = of(*WORLDS, *kinds)(choose)
+        if isinstance(world, type) and choose(3) == 2:
+            frames = joining(choose)
         model = world(choose) if isinstance(world, type) else world
         if choose(10) == 9:
             model = ANYTHING(choose)

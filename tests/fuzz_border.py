@@ -18,6 +18,7 @@ import json
 import os
 import random
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -32,22 +33,20 @@ LOOK = 1_000
 """Calls between two looks at memory."""
 GROWTH = 32 << 20
 """Bytes that a child may grow by after its first quarter."""
-WATCHED, SECONDS = 100, 60
-"""So many calls that take longer hang."""
+SECONDS = 60
+"""A call that is still the same after a second look hangs."""
 
 
 def child(calls: int, first: int, note: Path) -> None:
     """Make ``calls`` calls; print how many returned and by how many bytes the process grew."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    faulthandler.enable()
     from border_calls import any_call, make
 
     sizes: list[int] = []
     returned = 0
     with note.open("w+b", buffering=0) as last:
         for made, number in enumerate(range(first, first + calls)):
-            if made % WATCHED == 0:
-                # A hang ends the child, which says where it was.
-                faulthandler.dump_traceback_later(SECONDS, exit=True)
             if made % LOOK == 0:
                 gc.collect()
                 sizes.append(resident())
@@ -55,7 +54,6 @@ def child(calls: int, first: int, note: Path) -> None:
             call = any_call(lambda n, draw=draw: int(draw() * n))
             os.pwrite(last.fileno(), f"{number}: {call.name}".ljust(80).encode(), 0)
             returned += make(call)
-    faulthandler.cancel_dump_traceback_later()
     # The first calls load what is loaded once.
     grown = sizes[-1] - sizes[len(sizes) // 4]
     print(json.dumps({"returned": returned, "grown": grown, "size": sizes[-1]}))
@@ -64,6 +62,25 @@ def child(calls: int, first: int, note: Path) -> None:
 def resident() -> int:
     """Bytes of memory that this process holds."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def watched(words: list[str], note: Path) -> subprocess.CompletedProcess[str]:
+    """Run a child; if it hangs, say what its threads do, and end it."""
+    last = ""
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        while True:
+            try:
+                output, errors = run.communicate(timeout=SECONDS)
+                return subprocess.CompletedProcess(words, run.returncode, output, errors)
+            except subprocess.TimeoutExpired:
+                now = note.read_text()
+                if now == last:
+                    for thread in Path(f"/proc/{run.pid}/task").iterdir():
+                        # R is running or waiting for a processor, S waiting for another thread.
+                        state = (thread / "stat").read_text().rpartition(")")[2].split()
+                        print(f"thread {thread.name}: {state[0]}, {state[11]} ticks of processor")
+                    run.send_signal(signal.SIGABRT)
+                last = now
 
 
 def main() -> int:
@@ -83,7 +100,8 @@ def main() -> int:
             part = min(PART, options.calls - made)
             words = [sys.executable, __file__, "--child", str(note)]
             words += ["--calls", str(part), "--first", str(options.first + made)]
-            done = subprocess.run(words, capture_output=True, text=True)
+            note.write_text(f"{options.first + made}: none yet")
+            done = watched(words, note)
             if done.returncode:
                 print(f"status {done.returncode} in call {note.read_text().strip()}")
                 print(done.stderr[-6000:])

@@ -122,16 +122,13 @@ def test_search_equals_a_numpy_search_over_the_latents_the_generator_saw() -> No
     world = PointMass()
     again = Positions()
     all_costs.search(world, again, START, GOAL, seed=3)
-    # Three segments of three iterations each per search iteration, 24 problems a call.
+    # Three iterations per search iteration, all three segments of all 24 samples in one call.
     best = np.inf
     for iteration, (scene, latents) in enumerate(again.calls):
         np.testing.assert_array_equal(scene, START)
         np.testing.assert_array_equal(latents, generator.calls[iteration][1])
-        calls = world.calls[9 * iteration : 9 * iteration + 9]
-        segments = [
-            np.minimum.reduce([call[3].min(axis=1) for call in calls[3 * k : 3 * k + 3]])
-            for k in range(3)
-        ]
+        calls = world.calls[3 * iteration : 3 * iteration + 3]
+        segments = np.minimum.reduce([call[3].min(axis=1) for call in calls]).reshape(24, 3).T
         costs = np.max(segments, axis=0)
         order = np.argsort(costs, kind="stable")[:5]
         history = {name: values[iteration] for name, values in result.history.items()}
@@ -189,8 +186,9 @@ def test_a_search_by_likelihood_equals_a_numpy_search_over_the_same_latents(
             best, expected = costs[order[0]], latents[order[0]]
     np.testing.assert_array_equal(result.latents, expected)
     assert result.cost == pytest.approx(best, rel=1e-6)
-    # The answer alone is planned: three segments, each in a call an iteration.
-    assert len(world.calls) == int(result.plans.iterations.sum())
+    # The answer alone is planned: three segments, each once an iteration.
+    problems = sum(len(actions) for _, _, actions, _ in world.calls)
+    assert problems == int(result.plans.iterations.sum())
 
 
 def test_a_search_by_likelihood_needs_a_generator_that_knows() -> None:

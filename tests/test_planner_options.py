@@ -108,14 +108,10 @@ def test_the_best_of_the_last_iteration_of_a_search_is_one_sample() -> None:
         world, generator = PointMass(), Positions()
         plain = HVF(**options, best="last", prune=False, share_rollouts=False)
         found = plain.search(world, generator, START, near, seed)
-        # Three segments of three iterations each; the last nine calls are the last iteration's.
-        calls = world.calls[-9:]
-        segments = np.array(
-            [
-                np.minimum.reduce([call[3].min(axis=1) for call in calls[3 * k : 3 * k + 3]])
-                for k in range(3)
-            ]
-        )
+        # Three iterations, all segments of all samples in a call; the last three calls are the
+        # last iteration's.
+        calls = world.calls[-3:]
+        segments = np.minimum.reduce([call[3].min(axis=1) for call in calls]).reshape(24, 3).T
         costs = segments.max(axis=0)
         best = costs.argmin()
         assert found.cost == costs[best]

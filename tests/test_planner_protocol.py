@@ -99,16 +99,52 @@ def test_prepare_is_called_once_per_batch_of_segments() -> None:
     assert not isinstance(PointMass(), protocols.Preparer)
     expected = SMALL_SEARCH.search(PointMass(), Positions(), START, GOAL, seed=5)
     same(SMALL_SEARCH.search(world, Positions(), START, GOAL, seed=5), expected)
-    first = [pair for pair in world.prepared if pair[0] == 1]
-    assert first == [(1, 24)] * 3
-    assert sum(goals for _, goals in world.prepared) == expected.history["evaluated"].sum()
-    whole = HVF(mpc=SMALL, subgoals=1, samples=24, elites=5, iterations=2, prune=False)
-    world = SharingPreparing()
-    whole.search(world, Positions(), START, GOAL)
-    assert world.prepared == [(1, 24), (24, 24)] * 2
+    # The first segments, which have one start; the others, whatever will be planned of them.
+    assert world.prepared == [(1, 24), (48, 48)] * 3
+    for share, prepared in ((True, [(1, 24), (24, 24)]), (False, [(48, 48)])):
+        world = SharingPreparing()
+        HVF(
+            mpc=SMALL,
+            subgoals=1,
+            samples=24,
+            elites=5,
+            iterations=2,
+            prune=False,
+            share_rollouts=share,
+        ).search(world, Positions(), START, GOAL)
+        assert world.prepared == prepared * 2
     world = SharingPreparing()
     HVF(mpc=SMALL, subgoals=0).search(world, None, START, GOAL)
     assert world.prepared == [(1, 1)]
+
+
+@pytest.mark.parametrize("share", [True, False])
+def test_a_model_that_pads_is_called_in_few_sizes(share: bool) -> None:
+    class Padding(PointMass):
+        pads = True
+
+    options: dict[str, Any] = {
+        "mpc": VisualMPC(horizon=3, samples=32, elites=6, iterations=8, min_variance=0.05),
+        "samples": 24, "elites": 5, "iterations": 2, "share_rollouts": share,
+    }  # fmt: skip
+    ordinary, padding = PointMass(), Padding()
+    expected = HVF(**options).search(ordinary, Positions(), START, GOAL, seed=5)
+    same(HVF(**options).search(padding, Positions(), START, GOAL, seed=5), expected)
+    sizes = [{len(actions) for _, _, actions, _ in world.calls} for world in (ordinary, padding)]
+    assert len(sizes[1]) < len(sizes[0])
+    assert all(size & (size - 1) == 0 for size in sizes[1])
+
+
+def test_whether_a_model_pads_is_yes_or_no() -> None:
+    class Huge:
+        def __len__(self) -> int:
+            return 1 << 70
+
+    class Undecided(PointMass):
+        pads = Huge()
+
+    with pytest.raises(TypeError, match=r"^model.pads: expected True or False"):
+        SMALL.plan(Undecided(), START, GOAL)
 
 
 @pytest.mark.parametrize(
@@ -262,8 +298,8 @@ def test_a_stochastic_search_is_the_same_with_its_savings() -> None:
     assert np.all(first == first[0])
     fresh = np.concatenate([seeds.ravel() for seeds in later])
     assert len(np.unique(fresh)) == fresh.size
-    assert saving.seeds[0].shape == (30,)
-    np.testing.assert_array_equal(saving.seeds[0], first[0])
+    shared = next(seeds for seeds in saving.seeds if seeds.shape == (30,))
+    np.testing.assert_array_equal(shared, first[0])
 
 
 @pytest.mark.parametrize("asked", [False, None, 0])

@@ -55,6 +55,10 @@ class Frames(Protocol):
     """A batch of frames in a model's own memory.
 
     NumPy arrays and torch tensors are frames, their first axis being the batch.
+
+    A class of frames may have a static method ``join``, which takes a list of batches and gives
+    one, the frames of all of them in order: a search then asks for the segments of its samples, and
+    of the searches beside it, in one call. Arrays and tensors of one dtype and shape need none.
     """
 
     def __len__(self) -> int:
@@ -82,8 +86,10 @@ class WorldModel(Protocol[F_contra]):
 
     * ``max_candidates``, the most candidates ``B * D`` that the model wants in one call (default
       65536). A call holds at least one problem; beyond that its actions never take more than
-      256 MiB. Problems that are done drop out, so ``B`` shrinks from call to call: a model that
-      is compiled for one shape plans with ``min_variance=0`` and, in a search, ``prune=False``;
+      256 MiB;
+    * ``pads``, true for a model that is compiled for every shape it is called with: problems that
+      are done drop out, so ``B`` shrinks from call to call; it is then filled up to a power of two
+      (or the most for one call) with copies of the last problem, whose costs are not read;
     * the methods of :class:`RolloutSharer`, :class:`Observer` and :class:`Preparer`;
     * ``uses_seeds``, true for a stochastic model: :meth:`rollout_costs` is then called with one
       more keyword argument, ``seeds``, int64 ``[B, D]`` from 0 to 2**63 - 1, and

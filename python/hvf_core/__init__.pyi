@@ -601,11 +601,15 @@ class HVF:
         mpc: How a segment is planned; None for `VisualMPC()`.
         subgoals: Number of subgoals (`K`); 0 plans to the goal directly.
         reduction: Cost of a sample from those of its segments: 'max' or 'mean'.
-        prune: Complete samples in the order of their first segment's cost, and drop those whose
-            worst segment exceeds the `elites`-th best complete sample. Changes nothing but the
-            time, and what `population_mean` is over. Only with 'max'.
+        prune: Plan the segment of a sample first that a few candidates take for its hardest, drop
+            samples whose worst segment exceeds the `elites`-th best complete sample, and plan
+            other segments only until they are known to be no harder. Changes nothing but the time,
+            and what `population_mean` is over. Only with 'max'.
         share_rollouts: Share the first iteration's rollouts of all first segments where the model
             can (`shared_rollout_costs`). Changes nothing but the time.
+        chunk: Samples that pruning completes at a time, before it looks what is still worth
+            completing; None for as many as `elites`. Larger ones make fewer, fuller calls. Changes
+            nothing but the time.
         segment_cost: Who says what a segment costs: 'planned', the planner, by the predicted cost
             of its best plan (the paper's), or 'likelihood', the generator, by its `segment_costs`
             and without a plan.
@@ -650,6 +654,7 @@ class HVF:
         keep_elites: SupportsIndex = 0,
         prune: bool = True,
         share_rollouts: bool = True,
+        chunk: SupportsIndex | None = None,
         best: Literal["all", "last"] = "all",
         segment_cost: Literal["planned", "likelihood"] = "planned",
         momentum: float = 0.0,
@@ -690,6 +695,9 @@ class HVF:
         """The argument of this name."""
     @property
     def share_rollouts(self) -> bool:
+        """The argument of this name."""
+    @property
+    def chunk(self) -> int | None:
         """The argument of this name."""
     @property
     def best(self) -> Literal["all", "last"]:
@@ -753,7 +761,10 @@ class HVF:
         goals: Any,
         seeds: SupportsIndex | Sequence[SupportsIndex] | NDArray[np.integer] | None = None,
     ) -> list[SearchResult]:
-        """Search for `B` pairs of start and goal: as `search` one by one.
+        """Search for `B` pairs of start and goal: each result is what `search` finds alone.
+
+        The searches go on side by side: a model whose frames can be joined (`hvf.protocols.Frames`)
+        plans the segments of all of them in the same calls.
 
         Args:
             model: As for `search`.
@@ -801,7 +812,8 @@ class SearchResult:
         """Figures of every iteration by name, `[I]` each.
 
         Those of `Plan.history` over the samples (`population_mean`: the completed ones), and the
-        planning problems `evaluated` and `skipped`, int64.
+        planning problems `evaluated` (to their end, or until it was clear that they are not their
+        sample's hardest) and `skipped`, int64.
         """
 
 # --- the maze as a world model --------------------------------------------------------------

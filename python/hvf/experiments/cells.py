@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 from hvf.evaluation.evaluation import Evaluation
+
+Order: TypeAlias = Literal["higher", "lower"]
+"""Whether the paper has one rate above another, or below it."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,13 @@ class Cell:
         evaluation: gives ours; None where there is none to have.
         published: the paper's, as a fraction; None where it is in a figure only.
         baseline: what ours is compared with, in pairs, on the same episodes; None for nothing.
+        order: how the paper has it beside the baseline; None where it does not say.
     """
 
     evaluation: Evaluation | None
     published: float | None = None
     baseline: Evaluation | None = None
+    order: Order | None = None
 
 
 @dataclass(frozen=True)
@@ -97,4 +102,5 @@ class PaperTable:
     def evaluations(self) -> list[Evaluation]:
         """All that it needs, without repetition."""
         cells = [cell for row in self.rows.values() for cell in row]
-        return list(dict.fromkeys(cell.evaluation for cell in cells if cell.evaluation))
+        needed = [each for cell in cells for each in (cell.evaluation, cell.baseline) if each]
+        return list(dict.fromkeys(needed))

@@ -7,6 +7,7 @@ from typing import Any
 
 from hvf.evaluation.evaluation import Evaluation
 from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.judging import Claim, Way, judging
 from hvf.experiments.methods import methods
 from hvf.experiments.planners import planners
 from hvf.registry import METHODS
@@ -30,8 +31,22 @@ _BY_COST = {
 }
 
 
+_WAYS = (Way("paper"), Way("default"), Way("default", "latent"))
+"""What the paper's numbers are judged beside: settings, and what they plan with."""
+
+
 def maze(setup: Setup) -> list[PaperTable]:
-    """The maze's tables.
+    """The maze's tables: the paper's, and those of our own."""
+    return [
+        *_published(setup),
+        _ablation(setup),
+        planners(setup, "hard"),
+        *judging(setup, _WAYS, _published, _claims()),
+    ]
+
+
+def _published(setup: Setup) -> list[PaperTable]:
+    """The tables of the paper.
 
     Elites and the steps towards a subgoal stay as they are when samples or the horizon change.
     """
@@ -86,9 +101,61 @@ def maze(setup: Setup) -> list[PaperTable]:
             difficulties,
             {name: cost(name) for name in _BY_COST},
         ),
-        _ablation(setup),
-        planners(setup, "hard"),
     ]
+
+
+def _claims() -> list[Claim]:
+    """Orders that the paper has in numbers (its tables) or in words (its figure of methods)."""
+
+    def hard(method: str, count: int, **settings: Any) -> dict[str, Any]:
+        return {"method": method, "subgoals": count, "task": "hard", **settings}
+
+    none = hard("none", 0)
+    by_subgoals = [
+        Claim(
+            f"HVF-{count} than no subgoals, hard",
+            hard("hvf", count),
+            none,
+            "higher" if rate > _BY_SUBGOALS[0] else "lower",
+        )
+        for count, rate in _BY_SUBGOALS.items()
+        if count
+    ]
+    medium = [
+        Claim(
+            f"HVF-{count} than no subgoals, medium",
+            hard("hvf", count, task="medium"),
+            hard("none", 0, task="medium"),
+            "higher",
+        )
+        for count in (1, 2)
+    ]
+    latent = [
+        Claim(
+            f"cost in the latent than in pixels, no subgoals, {task}",
+            hard("none", 0, task=task, cost="latent"),
+            hard("none", 0, task=task),
+            "lower",
+        )
+        for task in _BY_COST["latent"]
+    ]
+    return [
+        *by_subgoals,
+        *medium,
+        Claim("HVF-2 than HVF-1, hard", hard("hvf", 2), hard("hvf", 1), "higher"),
+        Claim("ground truth-2 than HVF-2, hard", hard("ground-truth", 2), hard("hvf", 2), "higher"),
+        Claim("HVF-1 than no subgoals, H = 10", *_at(10, hard, 1), "higher"),
+        Claim("HVF-2 than no subgoals, H = 10", *_at(10, hard, 2), "lower"),
+        Claim("no subgoals: H = 10 than 5", hard("none", 0, horizon=10), none, "higher"),
+        *latent,
+    ]
+
+
+def _at(
+    horizon: int, of: Callable[..., dict[str, Any]], count: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """So many subgoals, and none, at another horizon."""
+    return of("hvf", count, horizon=horizon), of("none", 0, horizon=horizon)
 
 
 _STEPS_TO_PAPER: Mapping[str, Mapping[str, Any]] = {

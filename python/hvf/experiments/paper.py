@@ -8,7 +8,7 @@ Numbers of the paper (Nair & Finn, ICLR 2020) are success rates over 100 trials.
 how ours compares: ``higher`` or ``lower`` if the 95% interval of the difference of the two rates
 (Newcombe's hybrid score interval for separate samples, the paper's rate as so many successes of
 100) lies on one side of 0; else ``agrees``, which means that so many trials show no difference,
-not that there is none.
+not that there is none. An order of two methods is judged by pairs of our own episodes.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from rich.console import Console
 from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report
 from hvf.evaluation.statistics import difference_interval
-from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.cells import Cell, Order, PaperTable, Setup
 from hvf.experiments.desk import desk
 from hvf.experiments.maze import maze
 from hvf.experiments.parallel import Failure, report_of, run_all
-from hvf.experiments.tables import difference, line, notes, rate
+from hvf.experiments.tables import compared, difference, line, notes, rate
 
 PUBLISHED_TRIALS = 100
 """Trials behind each number of the paper."""
@@ -41,6 +41,13 @@ PAIRED = (
     "Success with its 95% Wilson interval; behind it the points more than the first row's, on the "
     "same episodes, with their 95% interval for paired data (Newcombe, 1998, method 10) and "
     "McNemar's exact p, which is not corrected for the number of comparisons."
+)
+
+ORDERS = (
+    "Success of the first with its 95% Wilson interval; behind it the points more than the second, "
+    "on the same episodes, with their 95% interval for paired data (Newcombe, 1998, method 10) and "
+    "McNemar's exact p, which is not corrected for the number of comparisons; and whether that is "
+    "the paper's order (the interval is on that side of 0), the reverse, or neither is shown."
 )
 
 EXPERIMENTS: Mapping[str, Callable[[Setup], list[PaperTable]]] = {"desk": desk, "maze": maze}
@@ -149,8 +156,7 @@ def markdown(
             f"`hvf paper {options} --only {table.name}`",
             "",
         ]
-    paired = [_is_paired(table) for table in chosen]
-    legend = [LEGEND] * (not all(paired)) + [PAIRED] * any(paired)
+    legend = [words for words in (LEGEND, PAIRED, ORDERS) if words in map(_legend, chosen)]
     return "\n".join([*lines, *legend, *(notes(reports.values()) if reports else [])])
 
 
@@ -170,9 +176,28 @@ def verdict(successes: int, trials: int, published: float) -> str:
     return "higher" if low > 0 else "lower" if high < 0 else "agrees"
 
 
-def _is_paired(table: PaperTable) -> bool:
-    """Whether its rows are compared with each other, not with the paper's."""
-    return any(cell.baseline for cells in table.rows.values() for cell in cells)
+def order_verdict(report: Report, baseline: Report, order: Order) -> str:
+    """``"the paper's order"``, ``"reversed"`` or ``"not shown"``; see the module.
+
+    Args:
+        report: of what the paper has higher or lower.
+        baseline: than this.
+        order: which of both.
+
+    Raises:
+        ValueError: reports of different episodes.
+    """
+    found = compared(report, baseline)
+    low, high = (found.low, found.high) if order == "higher" else (-found.high, -found.low)
+    return "the paper's order" if low > 0 else "reversed" if high < 0 else "not shown"
+
+
+def _legend(table: PaperTable) -> str:
+    """How to read its cells."""
+    cells = [cell for row in table.rows.values() for cell in row]
+    if any(cell.order for cell in cells):
+        return ORDERS
+    return PAIRED if any(cell.baseline for cell in cells) else LEGEND
 
 
 def _words(cell: Cell, reports: Mapping[Evaluation, Report]) -> str:
@@ -181,6 +206,10 @@ def _words(cell: Cell, reports: Mapping[Evaluation, Report]) -> str:
     baseline = reports.get(cell.baseline) if cell.baseline else None
     if report is not None and baseline is not None:
         ours += f"; {difference(report, baseline)}"
+        if cell.order is not None:
+            ours += f" ({order_verdict(report, baseline, cell.order)})"
+    elif cell.order is not None:
+        return ""
     if cell.published is None:
         return ours
     paper = f"paper {cell.published:.0%}"

@@ -58,6 +58,14 @@ class DeskFrames:
         """Return the frames at ``index``."""
         return DeskFrames(self.images[index], self.states[index])
 
+    @staticmethod
+    def join(parts: list[DeskFrames]) -> DeskFrames:
+        """Return the frames of all parts, in order."""
+        return DeskFrames(
+            np.concatenate([part.images for part in parts]),
+            np.concatenate([part.states for part in parts]),
+        )
+
 
 class MujocoWorld:
     """The true desk as a world model (`hvf.protocols.WorldModel`).

@@ -67,6 +67,15 @@ class VideoFrames:
         aim = None if self.aim is None else chosen((self.aim,), index)[0]
         return VideoFrames(self.images[index], self.before[index], self.past[index], state, aim)
 
+    @staticmethod
+    def join(parts: list[VideoFrames]) -> VideoFrames:
+        """Return the frames of all parts, in order, as they were before they were prepared."""
+        return VideoFrames(
+            np.concatenate([part.images for part in parts]),
+            np.concatenate([part.before for part in parts]),
+            np.concatenate([part.past for part in parts]),
+        )
+
     def keys(self) -> Iterator[bytes]:
         """What tells each frame from others."""
         for image, before, past in zip(self.images, self.before, self.past, strict=True):

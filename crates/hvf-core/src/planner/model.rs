@@ -158,6 +158,13 @@ pub trait WorldModel {
         1 << 16
     }
 
+    /// Whether calls should come in few sizes, for a model that is compiled for each: the number of
+    /// problems is then filled up to a power of two (or the most for one call) with copies of the
+    /// last one, whose costs nobody reads.
+    fn pads(&self) -> bool {
+        false
+    }
+
     /// Whether [`Candidates`] should come with seeds. A stochastic model draws the noise of
     /// candidate `d` of problem `b` from seed `[b, d]` and nothing else, so that its plans are as
     /// reproducible as those of a deterministic one.

@@ -48,6 +48,10 @@ pub struct PointMass {
     pub prepares_too_many: usize,
     /// Starts and goals of every `prepare`.
     pub prepared: RefCell<Vec<(usize, usize)>>,
+    /// Wants few sizes of calls.
+    pub pads: bool,
+    /// Problems of every call.
+    pub sizes: RefCell<Vec<usize>>,
     /// Rollouts (candidates) and calls so far.
     pub rollouts: Cell<usize>,
     pub calls: Cell<usize>,
@@ -64,6 +68,8 @@ impl PointMass {
             prepares: false,
             prepares_too_many: 0,
             prepared: RefCell::new(Vec::new()),
+            pads: false,
+            sizes: RefCell::new(Vec::new()),
             rollouts: Cell::new(0),
             calls: Cell::new(0),
         }
@@ -125,6 +131,10 @@ impl WorldModel for PointMass {
         self.noisy
     }
 
+    fn pads(&self) -> bool {
+        self.pads
+    }
+
     fn prepare(&self, starts: &Points, goals: &Points) -> Result<Option<(Points, Points)>> {
         if !self.prepares {
             return Ok(None);
@@ -145,6 +155,7 @@ impl WorldModel for PointMass {
         assert_eq!((starts.len(), goals.len()), (problems, problems));
         assert!(actions.is_standard_layout());
         self.count(problems * samples);
+        self.sizes.borrow_mut().push(problems);
         Ok(Array2::from_shape_fn((problems, samples), |(b, d)| {
             let candidate = actions.slice(ndarray::s![b, d, .., ..]);
             let seed = seeds.as_ref().map(|seeds| seeds[[b, d]]);
@@ -163,6 +174,7 @@ impl WorldModel for PointMass {
         }
         let samples = actions.dim().0;
         self.count(samples);
+        self.sizes.borrow_mut().push(goals.len());
         Some(Ok(Array2::from_shape_fn((goals.len(), samples), |(b, d)| {
             let candidate = actions.slice(ndarray::s![d, .., ..]);
             let seed = seeds.as_ref().map(|seeds| seeds[d]);

@@ -97,6 +97,35 @@ fn a_search_prepares_once_per_batch_of_segments() {
     assert_eq!(world.prepared.borrow().as_slice(), [(1, 24), (48, 48)].repeat(3));
 }
 
+#[test]
+fn calls_filled_up_have_few_sizes_and_change_nothing() {
+    for (shares, noisy, most) in [(true, false, 1 << 16), (false, true, 24 * 40), (true, true, 90)]
+    {
+        let mut config = small_search(3);
+        config.mpc.cem = CemConfig { iterations: 12, min_variance: 0.02, ..config.mpc.cem };
+        let world = PointMass { shares, noisy, max_candidates: most, ..PointMass::new() };
+        let plain = found(&config, &world, 3);
+        let ordinary = distinct(&world);
+        let world =
+            PointMass { pads: true, shares, noisy, max_candidates: most, ..PointMass::new() };
+        let filled = found(&config, &world, 3);
+        assert_eq!((plain.latents, plain.plans), (filled.latents, filled.plans));
+        assert_eq!(plain.history, filled.history);
+        let sizes = distinct(&world);
+        // Probes have 2 candidates, plans 40.
+        let fits = |size: &usize| size.is_power_of_two() || *size == most / 40 || *size == most / 2;
+        assert!(sizes.iter().all(fits), "{sizes:?}");
+        assert!(most < 100 || sizes.len() < ordinary.len(), "{sizes:?} and {ordinary:?}");
+    }
+}
+
+fn distinct(world: &PointMass) -> Vec<usize> {
+    let mut sizes = world.sizes.take();
+    sizes.sort_unstable();
+    sizes.dedup();
+    sizes
+}
+
 /// Points that cannot be joined.
 #[derive(Clone, Debug, PartialEq)]
 struct Apart(Points);

@@ -3,7 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use hvf_core_rs::planner::{
-    search, Frames, HvfConfig, Progress, Reduction, SearchResult, SegmentCost, Watch,
+    search, search_batch, Frames, HvfConfig, Progress, Reduction, SearchResult, SegmentCost, Watch,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
@@ -34,11 +34,15 @@ use crate::threads::detached;
 ///     mpc: How a segment is planned; None for `VisualMPC()`.
 ///     subgoals: Number of subgoals (`K`); 0 plans to the goal directly.
 ///     reduction: Cost of a sample from those of its segments: 'max' or 'mean'.
-///     prune: Complete samples in the order of their first segment's cost, and drop those whose
-///         worst segment exceeds the `elites`-th best complete sample. Changes nothing but the
-///         time, and what `population_mean` is over. Only with 'max'.
+///     prune: Plan the segment of a sample first that a few candidates take for its hardest, drop
+///         samples whose worst segment exceeds the `elites`-th best complete sample, and plan
+///         other segments only until they are known to be no harder. Changes nothing but the time,
+///         and what `population_mean` is over. Only with 'max'.
 ///     share_rollouts: Share the first iteration's rollouts of all first segments where the model
 ///         can (`shared_rollout_costs`). Changes nothing but the time.
+///     chunk: Samples that pruning completes at a time, before it looks what is still worth
+///         completing; None for as many as `elites`. Larger ones make fewer, fuller calls. Changes
+///         nothing but the time.
 ///     segment_cost: Who says what a segment costs: 'planned', the planner, by the predicted cost
 ///         of its best plan (the paper's), or 'likelihood', the generator, by its `segment_costs`
 ///         and without a plan.
@@ -61,14 +65,14 @@ impl PyHvf {
         signature = (
             *, mpc=None, subgoals=Given::of(2), samples=Given::of(200), elites=Given::of(40),
             iterations=Given::of(5), min_variance=Given::of(1e-3), reduction=text("max"),
-            keep_elites=Given::of(0), prune=Given::of(true), share_rollouts=Given::of(true),
+            keep_elites=Given::of(0), prune=Given::of(true), share_rollouts=Given::of(true), chunk=None,
             best=text("all"), segment_cost=text("planned"), momentum=Given::of(0.0),
             samples_decay=Given::of(1.0), temperature=None, min_std=Given::of(0.0),
             covariance=text("diagonal"), shrinkage=Given::of(SHRINKAGE)
         ),
         text_signature = "(*, mpc=None, subgoals=2, samples=200, elites=40, iterations=5, \
                           min_variance=0.001, reduction='max', keep_elites=0, prune=True, \
-                          share_rollouts=True, best='all', segment_cost='planned', \
+                          share_rollouts=True, chunk=None, best='all', segment_cost='planned', \
                           momentum=0.0, samples_decay=1.0, \
                           temperature=None, min_std=0.0, covariance='diagonal', \
                           shrinkage=0.1)"
@@ -85,6 +89,7 @@ impl PyHvf {
         keep_elites: Whole,
         prune: Flag,
         share_rollouts: Flag,
+        chunk: Option<&Bound<'_, PyAny>>,
         best: Text,
         segment_cost: Text,
         momentum: Real,
@@ -136,6 +141,10 @@ impl PyHvf {
         config.segment_cost = segment_cost;
         config.prune = prune.get("prune")?;
         config.share_rollouts = share_rollouts.get("share_rollouts")?;
+        config.chunk = match chunk.filter(|chunk| !chunk.is_none()) {
+            Some(chunk) => Some(chunk.extract::<Whole>()?.count("chunk")?),
+            None => None,
+        };
         config.validate().map_err(to_py)?;
         Ok(Self { config })
     }
@@ -181,7 +190,10 @@ impl PyHvf {
         })
     }
 
-    /// Search for `B` pairs of start and goal: as `search` one by one.
+    /// Search for `B` pairs of start and goal: each result is what `search` finds alone.
+    ///
+    /// The searches go on side by side: a model whose frames can be joined (`hvf.protocols.Frames`)
+    /// plans the segments of all of them in the same calls.
     ///
     /// Args:
     ///     model: As for `search`.
@@ -215,15 +227,14 @@ impl PyHvf {
             }
             let seeds = self::seeds(seeds, count)?;
             let generator = Generator::new(generator, &border, self.config.subgoals)?;
-            seeds
-                .into_iter()
-                .enumerate()
-                .map(|(episode, seed)| {
-                    let start = frame_of(&starts, episode)?;
-                    let goal = frame_of(&goals, episode)?;
-                    self.solve(model.py(), &border, &generator, [&start, &goal], seed, None)
-                })
-                .collect()
+            let py = model.py();
+            let found = detached(py, || {
+                let watch = Watch { interrupt: &signals(), ..Watch::nobody() };
+                let ends = [&starts, &goals];
+                search_batch(&self.config, border.world(), &generator, ends, &seeds, watch)
+            })?;
+            let found = found.map_err(|error| border.error(py, error))?;
+            found.into_iter().map(|found| written(py, &border, found)).collect()
         })
     }
 
@@ -257,6 +268,11 @@ impl PyHvf {
     }
     /// The argument of this name.
     #[getter]
+    fn chunk(&self) -> Option<usize> {
+        self.config.chunk
+    }
+    /// The argument of this name.
+    #[getter]
     fn segment_cost(&self) -> &'static str {
         match self.config.segment_cost {
             SegmentCost::Planned => "planned",
@@ -279,6 +295,7 @@ impl PyHvf {
             "keep_elites",
             "prune",
             "share_rollouts",
+            "chunk",
             "best",
             "segment_cost",
             "momentum",
@@ -300,12 +317,6 @@ impl PyHvf {
 }
 
 budget_getters!(PyHvf);
-
-/// The frame of one episode; a single frame stands for all.
-fn frame_of<F: Frames>(frames: &F, episode: usize) -> PyResult<F> {
-    let place = if frames.len() == 1 { 0 } else { episode };
-    frames.select(&[place]).map_err(to_py)
-}
 
 impl PyHvf {
     /// Searches without the GIL; the models take it where they need it.

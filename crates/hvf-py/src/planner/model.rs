@@ -6,11 +6,12 @@
 use hvf_core_rs::planner::{ActionSpace, Candidates, Frames, SharedCandidates, WorldModel};
 use hvf_core_rs::{Error, Result};
 use ndarray::{Array2, Ix1};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyUntypedArray};
 use pyo3::exceptions::{PyAttributeError, PyOverflowError, PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyString, PyTuple};
+use pyo3::types::{PyDict, PyList, PySlice, PyString, PyTuple};
+use pyo3::PyTypeInfo;
 
 use super::border::{as_images, images_of, is_native_frames, Axes, Border};
 use super::raised;
@@ -74,6 +75,70 @@ impl Frames for PythonFrames {
         }
         Ok(selected)
     }
+
+    fn join(parts: &[&Self]) -> Option<Result<Self>> {
+        let joined = Python::attach(|py| {
+            let objects: Vec<&Bound<'_, PyAny>> =
+                parts.iter().map(|part| part.object.bind(py)).collect();
+            joined(py, &objects)?.map(|joined| Self::new("frames.join", joined)).transpose()
+        });
+        let expected: usize = parts.iter().map(|part| part.len).sum();
+        match joined.map_err(raised) {
+            Ok(Some(joined)) if joined.len != expected => Some(Err(Error::Model(format!(
+                "join must give the {expected} frames of its parts, got {}",
+                joined.len
+            )))),
+            other => other.transpose(),
+        }
+    }
+}
+
+/// Frames one after another: by the `join` of their class, or of NumPy or torch where they are all
+/// arrays or tensors of one kind; `None` for others.
+fn joined<'py>(
+    py: Python<'py>,
+    parts: &[&Bound<'py, PyAny>],
+) -> PyResult<Option<Bound<'py, PyAny>>> {
+    let class = parts[0].get_type();
+    if parts.iter().any(|part| !part.get_type().is(&class)) {
+        return Ok(None);
+    }
+    let kind = |part: &Bound<'py, PyAny>, with_device: bool| -> PyResult<Bound<'py, PyTuple>> {
+        let rest =
+            part.getattr(intern!(py, "shape"))?.get_item(PySlice::new(py, 1, isize::MAX, 1))?;
+        let dtype = part.getattr(intern!(py, "dtype"))?;
+        let device = match with_device {
+            true => part.getattr(intern!(py, "device"))?,
+            false => py.None().into_bound(py),
+        };
+        (rest, dtype, device).into_pyobject(py)
+    };
+    let of_one_kind = |with_device: bool| -> PyResult<bool> {
+        let first = kind(parts[0], with_device)?;
+        for part in &parts[1..] {
+            if !first.eq(kind(part, with_device)?)? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    };
+    if class.is(PyUntypedArray::type_object(py)) {
+        return match of_one_kind(false)? {
+            true => py.import("numpy")?.call_method1("concatenate", (parts,)).map(Some),
+            false => Ok(None),
+        };
+    }
+    if let Some(join) = class.getattr_opt(intern!(py, "join"))? {
+        return join.call1((PyList::new(py, parts)?,)).map(Some);
+    }
+    // A tensor can only come from a torch that is there already.
+    let modules = py.import("sys")?.getattr("modules")?;
+    if let Ok(torch) = modules.get_item("torch") {
+        if class.is(torch.getattr("Tensor")?) && of_one_kind(true)? {
+            return torch.call_method1("cat", (PyList::new(py, parts)?,)).map(Some);
+        }
+    }
+    Ok(None)
 }
 
 /// A world model written in Python.
@@ -82,6 +147,7 @@ pub struct PythonWorld {
     actions: ActionSpace,
     max_candidates: usize,
     uses_seeds: bool,
+    pads: bool,
     prepares: bool,
     shares_rollouts: bool,
     observes: bool,
@@ -120,22 +186,29 @@ impl PythonWorld {
         Ok(Self {
             actions,
             max_candidates,
-            uses_seeds: match object.getattr_opt(intern!(py, "uses_seeds"))? {
-                Some(uses) => uses.is_truthy().map_err(|exception| {
-                    // Of an object whose truth is its length.
-                    match exception.is_instance_of::<PyOverflowError>(py) {
-                        true => wrong_type("model.uses_seeds", "True or False", &uses),
-                        false => exception,
-                    }
-                })?,
-                None => false,
-            },
+            uses_seeds: flag(object, "uses_seeds")?,
+            pads: flag(object, "pads")?,
             prepares: has(intern!(py, "prepare"))?,
             shares_rollouts: has(intern!(py, "shared_rollout_costs"))?,
             observes: has(intern!(py, "observe"))?,
             object: object.clone().unbind(),
         })
     }
+}
+
+/// An attribute that is true or false, and false where there is none.
+fn flag(object: &Bound<'_, PyAny>, name: &str) -> PyResult<bool> {
+    let py = object.py();
+    let Some(value) = object.getattr_opt(PyString::new(py, name))? else {
+        return Ok(false);
+    };
+    value.is_truthy().map_err(|exception| {
+        // Of an object whose truth is its length.
+        match exception.is_instance_of::<PyOverflowError>(py) {
+            true => wrong_type(&format!("model.{name}"), "True or False", &value),
+            false => exception,
+        }
+    })
 }
 
 /// Candidates in one call where the model does not say: enough to fill the cores of a host.
@@ -154,6 +227,10 @@ impl WorldModel for PythonWorld {
 
     fn uses_seeds(&self) -> bool {
         self.uses_seeds
+    }
+
+    fn pads(&self) -> bool {
+        self.pads
     }
 
     fn prepare(

@@ -106,6 +106,10 @@ impl<N: NativeClass> WorldModel for Paced<N> {
         self.world().uses_seeds()
     }
 
+    fn pads(&self) -> bool {
+        self.world().pads()
+    }
+
     fn prepare(
         &self,
         starts: &FramesIn<N>,

@@ -218,7 +218,8 @@ impl PySearchResult {
     /// Figures of every iteration by name, `[I]` each.
     ///
     /// Those of `Plan.history` over the samples (`population_mean`: the completed ones), and the
-    /// planning problems `evaluated` and `skipped`, int64.
+    /// planning problems `evaluated` (to their end, or until it was clear that they are not their
+    /// sample's hardest) and `skipped`, int64.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let columns = PyDict::new(py);

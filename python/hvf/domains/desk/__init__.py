@@ -45,6 +45,23 @@ _PAPER = Planning(
     action_repeat=3,
     steps_per_subgoal=20,
 )
+# For video models, whose generator draws images and cannot say how likely they are, so that each
+# segment is planned, with a budget that a core can pay: some seconds a search.
+_VIDEO = Planning(
+    samples=200,
+    elites=10,
+    iterations=3,
+    keep_elites=10,
+    warm_start=True,
+    initial="normal",
+    horizon=15,
+    action_repeat=3,
+    replan_every=3,
+    subgoal_samples=60,
+    subgoal_elites=12,
+    subgoal_iterations=3,
+    steps_per_subgoal=20,
+)
 # What a core can pay for true dynamics: 256 candidates, each one action that is held for three
 # steps and then acted to its end, since it does just what was predicted. So few find the thin arm
 # of a goal image only through a blur.
@@ -85,6 +102,11 @@ DESK = Domain(
     presets={
         "default": Preset(_DEFAULT, _OBJECTS, "subgoals by likelihood, warm starts"),
         "paper": Preset(_PAPER, _OBJECTS, "planning as published; generator: the object model's"),
+        "video": Preset(
+            _VIDEO,
+            World("latent"),
+            "video models throughout: subgoals by planning, in images",
+        ),
         "simulator": Preset(
             _SIMULATOR,
             World("simulator"),
@@ -96,8 +118,9 @@ DESK = Domain(
         "layers": WEIGHTS / "desk_dynamics.safetensors",
         "layers-generator": WEIGHTS / "desk_generator.safetensors",
         "latent": WEIGHTS / "desk_latent.safetensors",
+        "cvae": WEIGHTS / "desk_cvae.safetensors",
     },
-    generators={"layers": "layers-generator"},
+    generators={"layers": "layers-generator", "latent": "cvae"},
     privileged=("simulator",),
     collection="hvf.domains.desk.collection:DeskCollection",
     # "About 15%", "about 15%" and "over 42%" in the text; all else is a bar chart.

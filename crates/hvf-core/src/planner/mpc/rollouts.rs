@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use ndarray::{Array, Array2, Array3, Axis, Dimension, Ix3, Ix4};
+use ndarray::{s, Array, Array2, Array3, Axis, Dimension, Ix3, Ix4};
 
 use super::{Interrupt, MpcConfig, Problems};
 use crate::planner::cem::{Call, Objective};
@@ -47,17 +47,37 @@ impl<W: WorldModel> Rollouts<'_, W> {
         }
         Some(seeds)
     }
+
+    /// Problems of one call: those it is about, and as many copies of the last one as the model
+    /// wants besides.
+    fn padded(&self, problems: &[usize]) -> Vec<usize> {
+        let mut all = problems.to_vec();
+        if let (true, Some(&last)) = (self.world.pads(), problems.last()) {
+            let most = self.problems_per_call().max(problems.len());
+            all.resize(problems.len().next_power_of_two().min(most), last);
+        }
+        all
+    }
 }
 
 /// The frames of `problems` (one frame stands for all), without a copy where that is the batch.
 fn selected<'f, F: Frames>(frames: &'f F, problems: &[usize]) -> Result<Cow<'f, F>> {
-    if frames.len() == problems.len() {
+    if problems.iter().copied().eq(0..frames.len()) {
         Ok(Cow::Borrowed(frames))
     } else if frames.len() == 1 {
         Ok(Cow::Owned(frames.select(&vec![0; problems.len()])?))
     } else {
         Ok(Cow::Owned(frames.select(problems)?))
     }
+}
+
+/// The costs of the first `problems`, if more were asked for, `padded`.
+fn without_copies(costs: Array2<f32>, problems: usize, padded: usize) -> Array2<f32> {
+    // Another shape is another's to refuse.
+    if costs.nrows() == padded && padded > problems {
+        return costs.slice_move(s![..problems, ..]);
+    }
+    costs
 }
 
 impl<W: WorldModel> Objective for Rollouts<'_, W> {
@@ -69,14 +89,21 @@ impl<W: WorldModel> Objective for Rollouts<'_, W> {
 
     fn costs(&mut self, call: Call<'_>, candidates: Array3<f32>) -> Result<Array2<f32>> {
         (self.interrupt)()?;
-        let (problems, samples, _) = candidates.dim();
-        let shape = Ix4(problems, samples, self.config.horizon, self.world.action_space().dim());
-        let actions = self.actions(candidates.into_raw_vec_and_offset().0, shape);
-        let seeds = self.seeds(call.iteration, call.problems);
+        let (problems, samples, dimensions) = candidates.dim();
+        let all = self.padded(call.problems);
+        let mut candidates = candidates.into_raw_vec_and_offset().0;
+        for _ in problems..all.len() {
+            candidates.extend_from_within(
+                (problems - 1) * samples * dimensions..problems * samples * dimensions,
+            );
+        }
+        let shape = Ix4(all.len(), samples, self.config.horizon, self.world.action_space().dim());
+        let actions = self.actions(candidates, shape);
+        let seeds = self.seeds(call.iteration, &all);
         let Problems { starts, goals, .. } = self.problems;
-        let starts = selected(starts, call.problems)?;
-        let goals = selected(goals, call.problems)?;
-        self.world.rollout_costs(&starts, &goals, Candidates { actions, seeds })
+        let (starts, goals) = (selected(starts, &all)?, selected(goals, &all)?);
+        let costs = self.world.rollout_costs(&starts, &goals, Candidates { actions, seeds })?;
+        Ok(without_copies(costs, problems, all.len()))
     }
 
     fn shared_costs(
@@ -90,7 +117,8 @@ impl<W: WorldModel> Objective for Rollouts<'_, W> {
         if let Err(stop) = (self.interrupt)() {
             return Some(Err(stop));
         }
-        let goals = match selected(self.problems.goals, call.problems) {
+        let all = self.padded(call.problems);
+        let goals = match selected(self.problems.goals, &all) {
             Ok(goals) => goals,
             Err(error) => return Some(Err(error)),
         };
@@ -101,7 +129,8 @@ impl<W: WorldModel> Objective for Rollouts<'_, W> {
         let seeds = self.seeds(call.iteration, &call.problems[..1]);
         let seeds = seeds.map(|seeds| seeds.index_axis_move(Axis(0), 0));
         let candidates = SharedCandidates { actions, seeds };
-        self.world.shared_rollout_costs(self.problems.starts, &goals, candidates)
+        let costs = self.world.shared_rollout_costs(self.problems.starts, &goals, candidates)?;
+        Some(costs.map(|costs| without_copies(costs, call.problems.len(), all.len())))
     }
 
     fn enough(&self, problem: usize) -> Option<f32> {

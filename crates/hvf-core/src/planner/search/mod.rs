@@ -141,6 +141,9 @@ where
     W: WorldModel,
     G: SubgoalModel<W::Frames>,
 {
+    if ends.is_empty() {
+        return Ok(Vec::new());
+    }
     if config.subgoals == 0 {
         let one = |ends| plan_directly(config, world, ends, watch.interrupt);
         return ends.iter().map(one).collect();

@@ -24,7 +24,10 @@ struct Best<F> {
 struct Episode<F> {
     /// How the optimisation stood after its last iteration.
     latest: Option<Solution>,
+    /// What belongs to that.
     best: Option<Best<F>>,
+    /// What is better, of the iteration that is not finished.
+    better: Option<Best<F>>,
     /// Planning problems (evaluated, skipped) of every iteration.
     counts: Vec<(usize, usize)>,
 }
@@ -51,7 +54,8 @@ impl<'a, W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'a, W, G> {
         ends: &'a [Ends<W::Frames>],
         watch: Watch<'a, W::Frames>,
     ) -> Self {
-        let episode = |_: &_| Episode { latest: None, best: None, counts: Vec::new() };
+        let episode =
+            |_: &_| Episode { latest: None, best: None, better: None, counts: Vec::new() };
         Self {
             config,
             world,
@@ -67,7 +71,7 @@ impl<'a, W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'a, W, G> {
     /// What each search answers with as it stands; nothing before the first iteration is done.
     pub fn found(self) -> Option<Vec<SearchResult<W::Frames>>> {
         let subgoals = self.config.subgoals;
-        let answer = |Episode { latest, best, counts }| {
+        let answer = |Episode { latest, best, counts, .. }| {
             let (solution, best): (Solution, Best<_>) = (latest?, best?);
             let history = solution.history.iter().zip(counts);
             Some(SearchResult {
@@ -132,7 +136,7 @@ impl<'a, W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'a, W, G> {
             }
         }
         let index: Vec<usize> = (sample * subgoals..(sample + 1) * subgoals).collect();
-        self.episodes[episode].best =
+        self.episodes[episode].better =
             Some(Best { subgoals: decoded.select(&index)?, cost: costs[sample], plans });
         Ok(())
     }
@@ -201,7 +205,9 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> 
 
     fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
         for (episode, &solution) in self.active.drain(..).zip(solutions) {
-            self.episodes[episode].latest = Some(solution.clone());
+            let Episode { latest, best, better, .. } = &mut self.episodes[episode];
+            *latest = Some(solution.clone());
+            *best = better.take().or(best.take());
         }
         self.watch.iterated(solutions, self.config.cem.iterations)
     }

@@ -1,7 +1,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 
 use crate::planner::cem::{BestOf, CemConfig, Covariance};
 use crate::planner::mpc::{plan, MpcConfig, Problems};
@@ -271,6 +271,58 @@ fn searches_side_by_side_find_what_each_finds_alone() {
             search_batch(&config, &world, &generator, [&one, &goals], &seeds, Watch::nobody());
         assert_same(&from_one.unwrap()[1], &found[1]);
     }
+}
+
+/// Images of 24 x 2 subgoals of so many searches are drawn in several batches: an error in the
+/// second batch comes when the first is an iteration further.
+#[test]
+fn an_error_between_batches_leaves_each_search_as_it_was_after_a_finished_iteration() {
+    let count = 100;
+    let starts = Points(vec![START; count]);
+    let goals = Points((0..count).map(|i| [0.1 * i as f32, 3.0]).collect());
+    let seeds: Vec<u64> = (0..count as u64).collect();
+    let mut config = small(2);
+    config.mpc.cem.iterations = 1;
+    let run = |watch: Watch<'_, Points>, config: &HvfConfig| {
+        let ends = [&starts, &goals];
+        search_batch(config, &PointMass::new(), &Positions::new(), ends, &seeds, watch)
+    };
+    let asked = Cell::new(0_usize);
+    let count_up = || {
+        asked.set(asked.get() + 1);
+        Ok(())
+    };
+    config.cem.iterations = 1;
+    let expected = run(Watch { interrupt: &count_up, ..Watch::nobody() }, &config).unwrap();
+    let of_one_iteration = asked.get();
+    config.cem.iterations = 2;
+    asked.set(0);
+    let stop = || {
+        asked.set(asked.get() + 1);
+        match asked.get() > of_one_iteration * 3 / 2 {
+            true => Err(Error::Interrupted),
+            false => Ok(()),
+        }
+    };
+    let kept = RefCell::new(Vec::new());
+    let keep = |found| kept.borrow_mut().push(found);
+    let watch = Watch { interrupt: &stop, partial: &keep, ..Watch::nobody() };
+    assert!(run(watch, &config).is_err());
+    let kept = kept.into_inner();
+    assert_eq!(kept.len(), count);
+    for (found, expected) in kept.iter().zip(&expected) {
+        assert_same(found, expected);
+    }
+    assert!(search_batch(
+        &config,
+        &PointMass::new(),
+        &Positions::new(),
+        [&Points(vec![]), &Points(vec![])],
+        &[],
+        Watch::nobody()
+    )
+    .unwrap()
+    .is_empty());
 }
 
 #[test]

@@ -1,0 +1,129 @@
+"""The judging tables: every number and order of the paper once, beside ours by kind of model."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hvf.evaluation.evaluation import Evaluation
+from hvf.evaluation.report import Report, TrialRecord
+from hvf.experiments.cells import PaperTable, Setup
+from hvf.experiments.paper import markdown, order_verdict, tables
+from hvf.registry import METHODS
+
+PUBLISHED = Path(__file__).parent.parent.parent / "shared" / "paper" / "tables.json"
+
+
+def report(evaluation: Evaluation, successes: set[int], trials: int = 100) -> Report:
+    """A report in which these episodes succeeded."""
+    method = METHODS[evaluation.method]
+    head = {
+        "domain": evaluation.domain,
+        "task": evaluation.task,
+        "method": evaluation.method,
+        "subgoals": evaluation.subgoals if method.has_subgoals else 0,
+        "preset": evaluation.preset,
+        "split": evaluation.split,
+        "seed": evaluation.episode_seed,
+        "world": evaluation.world_names,
+        "kind": "video",
+        "planning": dataclasses.asdict(evaluation.planning),
+        "weights": {},
+    }
+    records = [TrialRecord(i, i in successes, 9, (), 0.0, 0.0) for i in range(trials)]
+    return Report.of(evaluation.name, head, records, 1.0, {"commit": "c0ffee", "changes": None})
+
+
+def judged(domain: str) -> tuple[PaperTable, PaperTable]:
+    numbers, orders = tables(Setup(domain), ["judging", "orders"])
+    return numbers, orders
+
+
+def leaves(value: Any) -> list[float]:
+    return (
+        [leaf for each in value.values() for leaf in leaves(each)]
+        if isinstance(value, dict)
+        else [value]
+    )
+
+
+def test_every_number_of_the_paper_has_one_row() -> None:
+    numbers, _ = judged("maze")
+    found = sorted(cells[0].published or 0.0 for cells in numbers.rows.values())
+    # Cells of the paper's tables that are not repeated from another one.
+    methods, subgoals = [0.93, 0.68, 0.33, 0.47, 0.54], [0.39, 0.02, 0.0]
+    mean, samples = [0.45, 0.53], [0.35, 0.54, 0.55]
+    horizon, latent = [0.46, 0.55, 0.37, 0.31, 0.39, 0.24], [0.62, 0.49, 0.23]
+    assert found == sorted([*methods, *subgoals, *mean, *samples, *horizon, *latent])
+    for cells in numbers.rows.values():
+        assert len({cell.published for cell in cells}) == 1
+    if PUBLISHED.exists():
+        published = json.loads(PUBLISHED.read_text())["maze"]
+        words = {key: value for key, value in published.items() if isinstance(value, dict)}
+        assert set(found) == set(leaves(words))
+    desk, _ = judged("desk")
+    assert [cells[0].published for cells in desk.rows.values()] == [0.15, 0.15, 0.42]
+
+
+@pytest.mark.parametrize("domain", ["maze", "desk"])
+def test_columns_say_what_plans_and_of_what_kind_it_is(domain: str) -> None:
+    for table in judged(domain):
+        for place, column in enumerate(table.columns):
+            for cells in table.rows.values():
+                evaluation = cells[place].evaluation
+                assert evaluation is not None
+                world = evaluation.place.resolved(evaluation.world)
+                assert column.startswith(f"`{evaluation.preset}`, {world.dynamics} and ")
+                video = {world.dynamics, world.generator} <= {"latent", "cvae", "vae"}
+                assert column.endswith("(video)" if video else "(object)")
+        assert any(column.endswith("(video)") for column in table.columns)
+
+
+def test_an_order_is_judged_on_the_same_episodes() -> None:
+    _, orders = judged("maze")
+    shown: dict[str, str] = {}
+    for name, ahead in (("ahead", 30), ("behind", -30), ("alike", 4)):
+        cell = orders.rows["HVF-2 than no subgoals, hard"][0]
+        assert cell.evaluation is not None
+        assert cell.baseline is not None
+        few, many = set(range(20)), set(range(20 + abs(ahead)))
+        first, second = (many, few) if ahead > 0 else (few, many)
+        reports = {
+            cell.evaluation: report(cell.evaluation, first),
+            cell.baseline: report(cell.baseline, second),
+        }
+        (row,) = [
+            line
+            for line in markdown([orders], reports, "").splitlines()
+            if line.startswith("| HVF-2 than no subgoals, hard |")
+        ]
+        shown[name] = row.split("|")[2]
+        # The other way round, what is higher is lower.
+        flipped = order_verdict(reports[cell.baseline], reports[cell.evaluation], "lower")
+        assert shown[name].strip().endswith(f"({flipped})")
+    assert shown["ahead"].startswith(" 50% [40, 60]; +30 [")
+    assert shown["ahead"].endswith("(the paper's order) ")
+    assert shown["behind"].endswith("(reversed) ")
+    # 4 of 100 differ: Newcombe's interval has 0 in it, McNemar's p is 1 / 8.
+    assert "+4 [" in shown["alike"]
+    assert shown["alike"].endswith("p = 0.12 (not shown) ")
+
+
+def test_an_order_with_one_of_both_missing_is_blank() -> None:
+    _, orders = judged("maze")
+    cell = orders.rows["HVF-2 than HVF-1, hard"][1]
+    for evaluation in (cell.evaluation, cell.baseline):
+        assert evaluation is not None
+        text = markdown([orders], {evaluation: report(evaluation, {1, 2})}, "")
+        assert "| HVF-2 than HVF-1, hard |  |  |  |" in text.splitlines()
+
+
+def test_what_an_order_compares_with_is_run_too() -> None:
+    _, orders = judged("desk")
+    needed = set(orders.evaluations)
+    for cells in orders.rows.values():
+        assert {cell.baseline for cell in cells} <= needed
