@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -14,15 +16,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import border_calls
 import hvf_core
 import nonsense
 import processes
-from hvf_core import HVF, VisualMPC
-from nonsense import (
+from border_worlds import (
+    A3,
     KEYPOINT,
     KEYPOINT_FRAMES,
     KEYPOINT_PARTS,
     KEYPOINT_WORLD,
+    LATENT,
+    LATENT_PARTS,
     LAYER_FRAMES,
     LAYER_PARTS,
     LAYER_WORLD,
@@ -30,19 +35,16 @@ from nonsense import (
     MAZE_FRAMES,
     MAZE_WORLD,
     STATES,
-    Index,
-    Length,
-    misaligned,
-    packed,
+    WORLDS,
 )
+from hvf_core import HVF, VisualMPC
+from nonsense import Entries, Index, Length, misaligned, packed
 
 MPC = VisualMPC(horizon=2, samples=6, elites=2, iterations=2)
-FRAMES = [MAZE_FRAMES, KEYPOINT_FRAMES, LAYER_FRAMES]
-WORLDS = [(MAZE_WORLD, MAZE_FRAMES, 2), (KEYPOINT_WORLD, KEYPOINT_FRAMES, 2)]
-WORLDS += [(LAYER_WORLD, LAYER_FRAMES, 3)]
-named = pytest.mark.parametrize("frames", FRAMES, ids=lambda frames: type(frames).__name__)
+NAMES = [type(world).__name__ for world, _, _ in WORLDS]
+named = pytest.mark.parametrize("frames", [frames for _, frames, _ in WORLDS], ids=NAMES)
 worlds = pytest.mark.parametrize(
-    ("world", "frames", "dim"), WORLDS, ids=[type(world).__name__ for world, _, _ in WORLDS]
+    ("world", "frames", "dim"), [(w, f, a.shape[-1]) for w, f, a in WORLDS], ids=NAMES
 )
 
 
@@ -59,7 +61,28 @@ class Point:
 @settings(max_examples=250, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_nonsense_is_computed_or_refused(data: st.DataObject) -> None:
-    nonsense.make(*nonsense.any_call(data.draw))
+    border_calls.make(border_calls.any_call(lambda n: data.draw(st.integers(0, n - 1))))
+
+
+def test_nothing_public_is_left_out() -> None:
+    assert set(border_calls.CATALOGUE) == set(border_calls.public())
+
+
+@pytest.mark.parametrize("name", sorted(border_calls.CATALOGUE))
+def test_calls_with_what_makes_sense_return(name: str) -> None:
+    for maker in border_calls.CATALOGUE[name]:
+        call = maker(lambda n: 0)
+        assert call.name == name
+        if name in MADE_ELSEWHERE:
+            with pytest.raises(TypeError, match=f"cannot create 'hvf_core.{name}' instances"):
+                call()
+        else:
+            found = call()
+            assert type(found).__name__ == name or not name[0].isupper() or "." in name
+
+
+MADE_ELSEWHERE = {"Plan", "Plans", "SearchResult", "KeypointFrames", "LayerFrames"}
+"""What only planners and worlds make."""
 
 
 # --- numbers and names ------------------------------------------------------------------------
@@ -76,6 +99,7 @@ WHOLE: dict[str, Callable[[Any], Any]] = {
     "spacing": lambda x: hvf_core.KeypointWorld(**{**KEYPOINT, "spacing": x}),
     "substeps": lambda x: hvf_core.KeypointWorld(**{**KEYPOINT, "substeps": x}),
     "arm_places": lambda x: hvf_core.LayerWorld(**{**LAYERS, "arm_places": (x, 2, 2)}),
+    "hold": lambda x: hvf_core.LatentWorld(**{**LATENT, "hold": x}),
     "seed": lambda x: MPC.plan(Point(), np.zeros((1, 2)), np.zeros((1, 2)), seed=x),
     "seeds": lambda x: MPC.plan_batch(Point(), np.zeros((1, 2)), np.zeros((1, 2)), seeds=[x]),
 }
@@ -213,6 +237,7 @@ STRICT: dict[str, tuple[Callable[..., Any], tuple[Any, ...], int]] = {
     "clean": (LAYER_WORLD.frames, LAYER_PARTS, 1),
     "regions": (LAYER_WORLD.frames, LAYER_PARTS, 2),
     "states": (LAYER_WORLD.frames, LAYER_PARTS, 3),
+    "latents": (hvf_core.LatentFrames, LATENT_PARTS, 0),
     "actions": (
         KEYPOINT_WORLD.rollout_costs,
         (KEYPOINT_FRAMES, KEYPOINT_FRAMES, np.zeros((3, 4, 2, 2), np.float32)),
@@ -306,6 +331,83 @@ def test_a_grid_whose_size_wraps_is_refused() -> None:
         hvf_core.LayerWorld(**wrapped)
 
 
+def latent(entry: str, value: Any, argument: str = "dynamics") -> hvf_core.LatentWorld:
+    return hvf_core.LatentWorld(**{**LATENT, argument: {**LATENT[argument], entry: value}})
+
+
+ENDLESS = {
+    "dynamics['input']": lambda x: latent("input", x),
+    "readout['output']": lambda x: latent("output", x, "readout"),
+    "dynamics['blocks']": lambda x: latent("blocks", x),
+    "dynamics['blocks'][0]": lambda x: latent("blocks", [x]),
+    "dynamics['blocks'][0][1]": lambda x: latent("blocks", [(LATENT["dynamics"]["input"], x)]),
+    "dynamics['scale']": lambda x: latent("scale", x),
+    "dynamics['activation']": lambda x: latent("activation", x),
+    "dynamics": lambda x: hvf_core.LatentWorld(**{**LATENT, "dynamics": x}),
+    "readout": lambda x: hvf_core.LatentWorld(**{**LATENT, "readout": x}),
+    "hand": lambda x: hvf_core.LayerWorld(**{**LAYERS, "hand": x}),
+    "sliders": lambda x: hvf_core.LayerWorld(**{**LAYERS, "sliders": [x]}),
+}
+
+
+@pytest.mark.parametrize("name", ENDLESS)
+def test_weights_without_an_end_are_refused(name: str) -> None:
+    for endless in (Length(3), Length(2**62), Entries(itertools.count())):
+        with pytest.raises((ValueError, TypeError), match=f"^{re.escape(name)}(:|\\[)"):
+            ENDLESS[name](endless)
+
+
+def test_what_weights_raise_comes_back_as_it_is() -> None:
+    for raised in (KeyboardInterrupt, nonsense.OwnError):
+        for entries in (Entries(raised), Entries(("input",), raised)):
+            for argument in ("dynamics", "readout"):
+                with pytest.raises(raised):
+                    hvf_core.LatentWorld(**{**LATENT, argument: entries})
+        with pytest.raises(raised):
+            latent("scale", Index(raised))
+        for entry in ("input", "blocks"):
+            with pytest.raises(raised):
+                latent(entry, Raising(raised))
+
+
+class Raising:
+    """A sequence that raises when it is gone through."""
+
+    def __init__(self, raised: type[BaseException]) -> None:
+        self.raised = raised
+
+    def __len__(self) -> int:
+        return 2
+
+    def __getitem__(self, index: Any) -> Any:
+        raise self.raised
+
+
+def test_names_that_are_no_text_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"^dynamics\['activation'\]: "):
+        latent("activation", "\ud800")
+
+
+def test_calls_of_worlds_are_not_larger_than_memory() -> None:
+    """Actions that repeat themselves, and answers that would be larger than they are."""
+    expected = r"^actions: must be at most \d+ numbers, and lead to no more, got \["
+    for world, frames, actions in WORLDS:
+        problems, candidates, _, dim = actions.shape
+        long = np.broadcast_to(actions[:, :, :1], (problems, candidates, 2**25, dim))
+        with pytest.raises(ValueError, match=expected):
+            world.rollout_costs(frames, frames, long)
+        if hasattr(world, "shared_rollout_costs"):
+            with pytest.raises(ValueError, match=expected):
+                world.shared_rollout_costs(
+                    frames[0], frames, np.broadcast_to(long[0, :1], (9, *long.shape[2:]))
+                )
+    wide = np.broadcast_to(A3[:, :1, :1], (3, 1, 2**23, 3))
+    with pytest.raises(ValueError, match=expected):
+        LAYER_WORLD.rollout(LAYER_FRAMES, wide)
+    with pytest.raises(ValueError, match=expected):
+        LAYER_WORLD.predict(LAYER_FRAMES, wide[:, 0, : 2**17])
+
+
 # --- indices ----------------------------------------------------------------------------------
 
 
@@ -355,9 +457,11 @@ def test_a_candidate_that_is_no_number_costs_none(
     elif world is KEYPOINT_WORLD:
         world = hvf_core.KeypointWorld(**{**KEYPOINT, "over_horizon": over_horizon})
         frames = world.frames(*KEYPOINT_PARTS)
-    else:
+    elif world is LAYER_WORLD:
         world = hvf_core.LayerWorld(**{**LAYERS, "over_horizon": over_horizon})
         frames = world.frames(*LAYER_PARTS)
+    else:
+        world = hvf_core.LatentWorld(**{**LATENT, "over_horizon": over_horizon})
     actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 4, dim)).astype(np.float32)
     expected = world.rollout_costs(frames, frames, actions)
     assert np.isfinite(expected).all()

@@ -365,7 +365,7 @@ def test_what_makes_no_world_is_refused_by_name(arguments: dict[str, Any], said:
         ({"dynamics": 3}, "dynamics: expected weights of a network, a dict, got"),
         ({"dynamics": {**GOOD, "input": 3}}, r"dynamics\['input'\]: expected weights and bias"),
         ({"dynamics": {**GOOD, "blocks": "no"}}, r"dynamics\['blocks'\]"),
-        ({"dynamics": {**GOOD, "activation": 3}}, r"dynamics\['activation'\]: expected a name"),
+        ({"dynamics": {**GOOD, "activation": 3}}, r"dynamics\['activation'\]: expected a string"),
         ({"dynamics": {**GOOD, "scale": "much"}}, r"dynamics\['scale'\]: expected"),
         ({"readout": "all"}, "readout: expected"),
         ({"weights": [1.0]}, "weights: expected"),

@@ -44,17 +44,22 @@ fn costs<T: Pixel>(
     }
 }
 
-/// Squared L2 between frames, per pixel: `sum((a - b)**2) / (H * W)` of colours scaled to
-/// `[0, 1]`.
+/// Squared L2 between frames, per pixel: `sum((a - b)**2) / (H * W)` of colours in `[0, 1]`.
 ///
-/// `a` and `b` are frames `[N, H, W, C]`, both uint8 or both float32 within `[0, 1]`,
-/// C-contiguous; nothing is copied. `mode="pairs"` gives float64 `[N]`; `mode="all_pairs"` gives
-/// `[len(a), len(b)]` (one to many: one frame in `a`). `blur` is the standard deviation, in
-/// pixels, of a Gaussian blur of both frames first, as `scipy.ndimage.gaussian_filter` does on
-/// each channel; 0 is none. Without blur, uint8 costs are exact up to one rounding.
+/// Without blur, costs of uint8 frames are exact up to one rounding. Nothing is copied.
 ///
-/// Raises ValueError for shapes that do not match, empty batches, memory that is not contiguous,
-/// float32 values outside `[0, 1]` or a negative blur; TypeError for other dtypes.
+/// Args:
+///     a: Frames `[N, H, W, C]`, uint8 or float32 within `[0, 1]`, C-contiguous.
+///     b: Frames of the same dtype.
+///     mode: 'pairs' for float64 `[N]`, or 'all_pairs' for `[len(a), len(b)]` (one to many: one
+///         frame in `a`).
+///     blur: Standard deviation, in pixels, of a Gaussian blur of both frames first, as
+///         `scipy.ndimage.gaussian_filter` does on each channel; 0 for none.
+///
+/// Raises:
+///     ValueError: Shapes that do not match, empty batches, memory that is not contiguous, float32
+///         values outside `[0, 1]` or a negative blur.
+///     TypeError: Other dtypes.
 #[pyfunction]
 #[pyo3(signature = (a, b, mode = text("pairs"), blur = Given::of(0.0)), text_signature = "(a, b, mode='pairs', blur=0.0)")]
 fn image_cost<'py>(

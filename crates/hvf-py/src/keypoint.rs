@@ -2,16 +2,21 @@
 
 use hvf_core_rs::image::OverHorizon;
 use hvf_core_rs::keypoint::{Cell, CellWeights, KeypointFrames, KeypointWorld, Sprite};
-use hvf_core_rs::planner::{ActionSpace, Frames, WorldModel};
-use ndarray::{Ix1, Ix2, Ix3, Ix4};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4};
+use hvf_core_rs::planner::{ActionSpace, Frames};
+use ndarray::{Array4, Ix1, Ix2, Ix3, Ix4};
+use numpy::{IntoPyArray, PyArray2, PyArray3, PyArray4};
 use pyo3::prelude::*;
 
 use crate::arguments::{array, indices, instance, numbers, point, text, Given, Real, Text, Whole};
 use crate::error::to_py;
 use crate::threads::detached;
+use crate::worlds::{self, action_box, rollout_costs_doc, Costs};
 
-/// Frames of a `KeypointWorld`.
+/// Frames of a `KeypointWorld`: images, where the moving part is, and a map of the rest.
+///
+/// Made by `KeypointWorld.frames`. `frames[i]` are those at an integer (one frame, still a batch)
+/// or at integers `[N]`. What the model sees in a scene is computed once, when first needed; frames
+/// picked with `[]` and frames from `moved` share it.
 #[pyclass(name = "KeypointFrames", module = "hvf_core", frozen)]
 pub struct PyKeypointFrames {
     /// The frames.
@@ -62,7 +67,16 @@ impl PyKeypointFrames {
             .into_pyarray(py)
     }
 
-    /// Frames of the same scene with the moving part elsewhere.
+    /// Frames of the same scene in which the moving part is elsewhere.
+    ///
+    /// Args:
+    ///     images: uint8 `[N, S, S, 3]`.
+    ///     keypoints: float32 `[N, 2]`, (row, column) in pixels.
+    ///
+    /// Raises:
+    ///     ValueError: Not exactly one frame here, shapes that do not fit each other, or keypoints
+    ///         that are not finite.
+    ///     TypeError: Arrays of another dtype, or what is no array.
     fn moved(&self, images: &Bound<'_, PyAny>, keypoints: &Bound<'_, PyAny>) -> PyResult<Self> {
         let images = array::<u8, Ix4>("images", images, "uint8 [N, S, S, 3]")?;
         let keypoints = array::<f32, Ix2>("keypoints", keypoints, "float32 [N, 2]")?;
@@ -75,8 +89,38 @@ impl PyKeypointFrames {
     }
 }
 
-/// The compact learned dynamics model as a world model. Actions beyond the box are taken as they
-/// are: the model extrapolates.
+/// The compact learned dynamics model, evaluated in Rust; a world model.
+///
+/// `hvf.worlds.keypoint.KeypointWorld` makes one from a trained `KeypointDynamics`. The cost is the
+/// squared pixel distance of the predicted frame to the goal, per pixel, in closed form. A
+/// candidate costs about `H * substeps * hidden**2` multiply-adds. Actions beyond the box are taken
+/// as they are: the model, which was trained within it, extrapolates.
+///
+/// Args:
+///     patch: Weights of the first layer for what is around the keypoint, float32
+///         `[hidden, taps**2]`.
+///     patch_bias: float32 `[hidden]`.
+///     context: Weights of the first layer for action and memory, float32 `[hidden, A + C]`.
+///     middle: float32 `[hidden, hidden]`.
+///     middle_bias: float32 `[hidden]`.
+///     output: Motion in pixels, then change of the memory, float32 `[2 + C, hidden]`.
+///     output_bias: float32 `[2 + C]`.
+///     free: Motion per substep that is linear in the action, float32 `[2, A]`.
+///     action_scale: Number by which actions are divided.
+///     spacing: Pixels between the taps of a patch.
+///     substeps: Substeps of an action.
+///     half_size: Half the sprite's size along rows and columns, in pixels.
+///     edge: Width of its soft edge along rows and columns, in pixels.
+///     colour: Its colour relative to the background, in units of full intensity.
+///     action_low: Lowest action, `[A]`.
+///     action_high: Highest action, `[A]`.
+///     image_size: Height and width of the images, `S`.
+///     blur: Standard deviation of the Gaussian blur before frames are compared, in pixels.
+///     over_horizon: 'last', 'sum' or 'min' over the predicted frames.
+///
+/// Raises:
+///     ValueError: Shapes that do not fit each other, or numbers out of range, of any size.
+///     TypeError: Arrays of another dtype, or objects of another kind.
 #[pyclass(name = "KeypointWorld", module = "hvf_core", frozen)]
 pub struct PyKeypointWorld {
     /// The world.
@@ -158,19 +202,17 @@ impl PyKeypointWorld {
         Ok(Self { inner: build().map_err(to_py)? })
     }
 
-    /// Lowest action, float32 `[A]`.
-    #[getter]
-    fn action_low<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_slice(py, self.inner.action_space().low())
-    }
-
-    /// Highest action, float32 `[A]`.
-    #[getter]
-    fn action_high<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_slice(py, self.inner.action_space().high())
-    }
-
-    /// Frames of this world from images, keypoints and scene maps.
+    /// Frames of this world.
+    ///
+    /// Args:
+    ///     images: uint8 `[N, S, S, 3]`.
+    ///     keypoints: float32 `[N, 2]`, (row, column) in pixels.
+    ///     maps: What does not move, as the model was trained to see it, float32 `[N, S, S]`.
+    ///
+    /// Raises:
+    ///     ValueError: Shapes that do not fit each other or the world, or numbers that are not
+    ///         finite.
+    ///     TypeError: Arrays of another dtype, or what is no array.
     fn frames(
         &self,
         images: &Bound<'_, PyAny>,
@@ -187,24 +229,27 @@ impl PyKeypointWorld {
         Ok(PyKeypointFrames { inner })
     }
 
-    /// Planning costs float32 `[B, D]` of `actions [B, D, H, A]`.
+    #[doc = rollout_costs_doc!()]
     fn rollout_costs<'py>(
         &self,
         py: Python<'py>,
         starts: &Bound<'py, PyAny>,
         goals: &Bound<'py, PyAny>,
         actions: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let starts = frames("starts", starts)?;
-        let goals = frames("goals", goals)?;
-        let actions = array::<f32, Ix4>("actions", actions, "float32 [B, D, H, A]")?;
-        let actions = actions.as_array().to_owned();
-        let costs = detached(py, || self.inner.rollout_costs(starts, goals, actions.into()))?
-            .map_err(to_py)?;
-        Ok(costs.into_pyarray(py))
+    ) -> PyResult<Costs<'py>> {
+        let frames = [frames("starts", starts)?, frames("goals", goals)?];
+        let actions = worlds::actions(actions, "float32 [B, D, H, A]")?;
+        worlds::rollout_costs(py, &self.inner, frames, actions)
     }
 
-    /// Predicted keypoints float32 `[B, D, H, 2]` of `actions [B, D, H, A]`.
+    /// Predicted keypoints, float32 `[B, D, H, 2]`, (row, column) in pixels.
+    ///
+    /// Args:
+    ///     starts: Frames of this world that candidates start from, `[B]`.
+    ///     actions: float32 `[B, D, H, A]`, at most 2**28 numbers, as must the answer be.
+    ///
+    /// Raises:
+    ///     As `rollout_costs`.
     fn rollout<'py>(
         &self,
         py: Python<'py>,
@@ -212,12 +257,15 @@ impl PyKeypointWorld {
         actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray4<f32>>> {
         let starts = frames("starts", starts)?;
-        let actions = array::<f32, Ix4>("actions", actions, "float32 [B, D, H, A]")?;
-        let actions = actions.as_array();
-        let paths = detached(py, || self.inner.rollout(starts, actions))?.map_err(to_py)?;
+        let actions: Array4<f32> = worlds::actions(actions, "float32 [B, D, H, A]")?;
+        let (problems, candidates, steps, _) = actions.dim();
+        worlds::few("actions", &[problems, candidates, steps, 2])?;
+        let paths = detached(py, || self.inner.rollout(starts, actions.view()))?.map_err(to_py)?;
         Ok(paths.into_pyarray(py))
     }
 }
+
+action_box!(PyKeypointWorld);
 
 fn frames<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a KeypointFrames> {
     Ok(&instance::<PyKeypointFrames>(argument, object)?.get().inner)

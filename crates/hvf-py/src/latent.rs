@@ -3,24 +3,39 @@
 use hvf_core_rs::image::OverHorizon;
 use hvf_core_rs::latent::{Known, LatentFrames, LatentWorld};
 use hvf_core_rs::planner::{ActionSpace, Frames, WorldModel};
-use ndarray::{Array, Array2, Array4, ArrayView, Dimension, Ix1};
+use ndarray::{Array2, Array4, Ix1};
 use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray4, PyReadonlyArray1, PyReadonlyArray2,
-    PyReadonlyArray3, PyReadonlyArray4,
+    IntoPyArray, PyArray1, PyArray2, PyArray4, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray4,
 };
-use pyo3::exceptions::{PyAttributeError, PyValueError};
+use pyo3::exceptions::PyAttributeError;
 use pyo3::prelude::*;
 
 use crate::arguments::{array, indices, instance, numbers, text, Text, Whole};
 use crate::error::to_py;
 use crate::latent_weights;
 use crate::threads::detached;
+use crate::worlds::{self, action_box, rollout_costs_doc, shared_rollout_costs_doc, Costs};
 
-/// The most numbers that one call takes actions of.
-const MAX_VALUES: usize = 1 << 28;
-
-/// Frames of a `LatentWorld`: latents, and what is known of the frames besides. Immutable; the stub
-/// file describes every argument.
+/// Frames of a `LatentWorld`: latents, and what is known of the frames besides. Immutable.
+///
+/// Frames are of no world: any with latents of this length takes them. As starts, only their
+/// latents count; as goals, their targets (where there are none, what the world reads out of their
+/// latents) and constants. `frames[i]` are those at an integer (one frame, still a batch) or at
+/// integers `[N]`; they share memory.
+///
+/// Args:
+///     latents: float32 `[N, Z]`.
+///     targets: What the read-out of a predicted latent is compared with where a frame is the goal,
+///         float32 `[N, P]`; None for the read-out of the frame's own latent.
+///     constants: What every predicted frame that counts costs more where a frame is the goal,
+///         float32 `[N]`; None for nothing. A read-out of the main part of an image makes its whole
+///         pixel cost so: the rest of the goal image, which no read-out can reach, is a constant.
+///     images: What the frames look like, uint8 `[N, H, W, 3]`: kept for others.
+///
+/// Raises:
+///     ValueError: Another shape, not as many of one as of the other, or numbers that are not
+///         finite.
+///     TypeError: Another dtype, or what is no array.
 #[pyclass(name = "LatentFrames", module = "hvf_core", frozen)]
 pub struct PyLatentFrames {
     /// The frames.
@@ -84,7 +99,10 @@ impl PyLatentFrames {
         PyArray1::from_iter(py, constants)
     }
 
-    /// The images, uint8 `[N, H, W, 3]` (a copy). Raises AttributeError where none were given.
+    /// The images, uint8 `[N, H, W, 3]` (a copy).
+    ///
+    /// Raises:
+    ///     AttributeError: No images were given.
     #[getter]
     fn images<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
         let kept = self
@@ -100,12 +118,55 @@ impl PyLatentFrames {
     }
 }
 
-/// A world whose frames are latents, moved by a network that is given by its weights. The stub file
-/// describes every argument.
+/// A world whose frames are latents, moved by a network that is given by its weights.
 ///
-/// `dynamics` is a dict: of a network with residual blocks (`input`, `blocks`, `output`,
-/// `activation`, `scale`), or the weights of a `torch.nn.GRUCell` under their names there. `readout`
-/// is None, a matrix, or a dict of a network. The planners use it without the GIL.
+/// For models whose state is a vector, trained with torch or anything else: rollouts and costs run
+/// in Rust on all cores, without torch and without the GIL. To plan from images, give the planner
+/// an object with this world as its `native` and a method `observe(images) -> LatentFrames`.
+///
+/// *Dynamics.* An action `[A]` is scaled so that its box is from -1 to 1 (one beyond the box is
+/// taken as it is): `u`. Then `z' = z + scale * network([z, u])`, or `z' = GRUCell(u, z)`.
+///
+/// *Networks* are dicts of weights as `torch.nn.Linear` stores them, `(weight [outputs, inputs],
+/// bias [outputs])`, all float32:
+///
+/// ```python
+/// {"input": (weight, bias),
+///  "blocks": [((weight, bias), (weight, bias)), ...],   # may be left out
+///  "output": (weight, bias),
+///  "activation": "relu" or "sin"}                       # may be left out: "relu"
+/// ```
+///
+/// that is `h = activation(input(x))`, `h = relu(h + second(relu(first(h))))` for every block,
+/// `output(h)`.
+///
+/// *Cost.* `sum(weights * (read(z) - target)**2) + constant` of every predicted latent that counts;
+/// target and constant are the goal's (`LatentFrames`). Without a read-out, `read(z) = z`.
+///
+/// The same costs to the last bit alone and in a batch, with rollouts shared or not, on any number
+/// of threads, on any machine; those of torch within float32's rounding.
+///
+/// Args:
+///     action_low: Lowest action, `[A]`.
+///     action_high: Highest action, `[A]`.
+///     dynamics: A network's dict, from `Z + A` numbers (the latent first) to `Z`, with one more
+///         entry, `"scale"`: a number or float32 `[Z]`, 1 if left out; or the weights of a
+///         `torch.nn.GRUCell(A, Z)` under their names there (`weight_ih [3 Z, A]`,
+///         `weight_hh [3 Z, Z]`, `bias_ih`, `bias_hh [3 Z]`): `cell.state_dict()`, as arrays.
+///     readout: What is compared of a latent: None for the latent itself (`P = Z`), a network's
+///         dict from `Z` numbers to `P`, or a float32 matrix `[P, Z]`. A matrix costs no more than
+///         `Z` rows would, however many it has, but is compared with goals' latents only, not with
+///         targets.
+///     weights: Of the numbers of the read-out, float32 `[P]`, none negative; None for 1.
+///     over_horizon: 'last', 'sum' or 'min' over the predicted latents.
+///     hold: Steps of actions that one step of the dynamics is long. The first of each `hold`
+///         actions is taken. A horizon must be a multiple of it, and so should the planners'
+///         `action_repeat`.
+///
+/// Raises:
+///     ValueError: Shapes that do not fit each other, numbers out of range or not finite, entries
+///         that are missing or unknown; the message names the argument.
+///     TypeError: An argument of another kind or dtype.
 #[pyclass(name = "LatentWorld", module = "hvf_core", frozen)]
 pub struct PyLatentWorld {
     /// The world.
@@ -142,25 +203,13 @@ impl PyLatentWorld {
         Ok(Self { inner: made.map_err(to_py)? })
     }
 
-    /// Lowest action, float32 `[A]`.
-    #[getter]
-    fn action_low<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_slice(py, self.inner.action_space().low())
-    }
-
-    /// Highest action, float32 `[A]`.
-    #[getter]
-    fn action_high<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_slice(py, self.inner.action_space().high())
-    }
-
     /// Length of a latent, `Z`.
     #[getter]
     fn latent_dim(&self) -> usize {
         self.inner.latent_dim()
     }
 
-    /// Which predicted frames count.
+    /// Which predicted latents count.
     #[getter]
     fn over_horizon(&self) -> &'static str {
         self.inner.over_horizon().name()
@@ -172,46 +221,46 @@ impl PyLatentWorld {
         self.inner.hold()
     }
 
-    /// The most candidates that the planners should ask for in one call.
+    /// The most candidates that the planners ask for in one call: fewer for dearer networks.
     #[getter]
     fn max_candidates(&self) -> usize {
         self.inner.max_candidates()
     }
 
-    /// Planning costs float32 `[B, D]` of `actions [B, D, H, A]`.
+    #[doc = rollout_costs_doc!()]
     fn rollout_costs<'py>(
         &self,
         py: Python<'py>,
         starts: &Bound<'py, PyAny>,
         goals: &Bound<'py, PyAny>,
         actions: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let (starts, goals) = (frames("starts", starts)?, frames("goals", goals)?);
-        let actions = array("actions", actions, "float32 [B, D, H, A]")?;
-        let actions = owned(actions.as_array())?;
-        let costs = detached(py, || self.inner.rollout_costs(starts, goals, actions.into()))?
-            .map_err(to_py)?;
-        Ok(costs.into_pyarray(py))
+    ) -> PyResult<Costs<'py>> {
+        let frames = [frames("starts", starts)?, frames("goals", goals)?];
+        let actions = worlds::actions(actions, "float32 [B, D, H, A]")?;
+        worlds::rollout_costs(py, &self.inner, frames, actions)
     }
 
-    /// Planning costs float32 `[B, D]` of `actions [D, H, A]` from one start for every goal: those
-    /// of `rollout_costs`, to the last bit.
+    #[doc = shared_rollout_costs_doc!()]
     fn shared_rollout_costs<'py>(
         &self,
         py: Python<'py>,
         start: &Bound<'py, PyAny>,
         goals: &Bound<'py, PyAny>,
         actions: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let (start, goals) = (frames("start", start)?, frames("goals", goals)?);
-        let actions: PyReadonlyArray3<'_, f32> = array("actions", actions, "float32 [D, H, A]")?;
-        let actions = owned(actions.as_array())?;
-        let costs = detached(py, || self.inner.shared_costs(start, goals, actions.view()))?
-            .map_err(to_py)?;
-        Ok(costs.into_pyarray(py))
+    ) -> PyResult<Costs<'py>> {
+        let frames = [frames("start", start)?, frames("goals", goals)?];
+        let actions = worlds::actions(actions, "float32 [D, H, A]")?;
+        worlds::shared_rollout_costs(py, &self.inner, frames, actions)
     }
 
-    /// Predicted latents float32 `[B, D, H / hold, Z]` of `actions [B, D, H, A]`.
+    /// Predicted latents, float32 `[B, D, H / hold, Z]`.
+    ///
+    /// Args:
+    ///     starts: Frames that candidates start from, `[B]`.
+    ///     actions: float32 `[B, D, H, A]`, at most 2**28 numbers, as must the answer be.
+    ///
+    /// Raises:
+    ///     As `rollout_costs`.
     fn rollout<'py>(
         &self,
         py: Python<'py>,
@@ -219,8 +268,7 @@ impl PyLatentWorld {
         actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray4<f32>>> {
         let starts = frames("starts", starts)?;
-        let actions = array("actions", actions, "float32 [B, D, H, A]")?;
-        let actions: Array4<f32> = owned(actions.as_array())?;
+        let actions: Array4<f32> = worlds::actions(actions, "float32 [B, D, H, A]")?;
         let paths = detached(py, || self.inner.rollout(starts, actions.view()))?.map_err(to_py)?;
         Ok(paths.into_pyarray(py))
     }
@@ -231,19 +279,10 @@ impl PyLatentWorld {
     }
 }
 
+action_box!(PyLatentWorld);
+
 fn frames<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a LatentFrames> {
     Ok(&instance::<PyLatentFrames>(argument, object)?.get().inner)
-}
-
-/// A copy of actions, if they are not more than any memory holds (arrays may repeat themselves).
-fn owned<D: Dimension>(actions: ArrayView<'_, f32, D>) -> PyResult<Array<f32, D>> {
-    if actions.len() > MAX_VALUES {
-        return Err(PyValueError::new_err(format!(
-            "actions: must be at most {MAX_VALUES} numbers, got {:?}",
-            actions.shape()
-        )));
-    }
-    Ok(actions.to_owned())
 }
 
 /// Adds this file's classes to the module.

@@ -5,12 +5,17 @@ use hvf_core_rs::nn::{Activation, GruWeights, Linear, ResidualWeights};
 use hvf_core_rs::Error;
 use ndarray::aview1;
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::exceptions::{PyKeyError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping};
 
-use crate::arguments::{array, describe};
+use crate::arguments::{array, items, wrong_type, Real, Text};
 use crate::error::to_py;
+
+/// Most entries of a dictionary.
+const MOST_ENTRIES: usize = 1 << 6;
+/// Most blocks of a network.
+const MOST_BLOCKS: usize = 1 << 10;
 
 /// Weights and bias of a layer.
 struct Layer<'py>(PyReadonlyArray2<'py, f32>, PyReadonlyArray1<'py, f32>);
@@ -35,23 +40,22 @@ fn pair<'py>(
     what: &str,
     object: &Bound<'py, PyAny>,
 ) -> PyResult<[Bound<'py, PyAny>; 2]> {
-    let parts = items(place, what, object)?;
+    let parts = several(place, what, object, 2)?;
     let count = parts.len();
     parts.try_into().map_err(|_| {
-        PyValueError::new_err(format!("{place}: expected {what}, 2 things, got {count}"))
+        let found = if count > 2 { "more".into() } else { count.to_string() };
+        PyValueError::new_err(format!("{place}: expected {what}, 2 things, got {found}"))
     })
 }
 
-/// The things in a tuple or list.
-fn items<'py>(
+/// The things in a tuple or list, at most one more than `most`.
+fn several<'py>(
     place: &str,
     what: &str,
     object: &Bound<'py, PyAny>,
+    most: usize,
 ) -> PyResult<Vec<Bound<'py, PyAny>>> {
-    object.extract().map_err(|_| {
-        let found = describe(object);
-        PyTypeError::new_err(format!("{place}: expected {what}, a tuple or list, got {found}"))
-    })
+    items(place, object, &format!("{what}, a tuple or list"), most)
 }
 
 /// The entries of a dictionary, by names that it must or may have.
@@ -62,17 +66,32 @@ struct Entries<'a, 'py> {
 
 impl<'a, 'py> Entries<'a, 'py> {
     fn read(argument: &'a str, what: &str, object: &Bound<'py, PyAny>) -> PyResult<Self> {
-        let complaint = || {
-            let found = describe(object);
-            PyTypeError::new_err(format!("{argument}: expected {what}, a dict, got {found}"))
-        };
+        let expected = format!("{what}, a dict");
         let found = match object.cast::<PyDict>() {
             Ok(found) => found.copy()?,
             // State dictionaries of torch are ordered ones.
             Err(_) => {
-                let mapping = object.cast::<PyMapping>().map_err(|_| complaint())?;
+                let mapping = object.cast::<PyMapping>();
+                let mapping = mapping.map_err(|_| wrong_type(argument, &expected, object))?;
+                let names = items(argument, object, &expected, MOST_ENTRIES)?;
+                if names.len() > MOST_ENTRIES {
+                    return Err(PyValueError::new_err(format!(
+                        "{argument}: must have at most {MOST_ENTRIES} entries, got more"
+                    )));
+                }
                 let found = PyDict::new(object.py());
-                found.update(mapping).map_err(|_| complaint())?;
+                for name in names {
+                    let entry = mapping.get_item(&name);
+                    entry.and_then(|entry| found.set_item(&name, entry)).map_err(|exception| {
+                        // It has not what it says it has, or under no name.
+                        let py = object.py();
+                        let lacking = exception.is_instance_of::<PyKeyError>(py);
+                        match lacking || exception.is_instance_of::<PyTypeError>(py) {
+                            true => wrong_type(argument, &expected, object),
+                            false => exception,
+                        }
+                    })?;
+                }
                 found
             }
         };
@@ -129,28 +148,13 @@ impl<'py> Network<'py> {
         let layer = |name| Layer::read(&entries.place(name), &entries.must(name)?);
         let blocks = match entries.take("blocks")? {
             None => Vec::new(),
-            Some(blocks) => items(&entries.place("blocks"), "blocks of two layers", &blocks)?
-                .iter()
-                .enumerate()
-                .map(|(number, block)| {
-                    let place = format!("{}[{number}]", entries.place("blocks"));
-                    let layers = pair(&place, "two layers", block)?;
-                    let [first, second] = layers.each_ref();
-                    Ok([
-                        Layer::read(&format!("{place}[0]"), first)?,
-                        Layer::read(&format!("{place}[1]"), second)?,
-                    ])
-                })
-                .collect::<PyResult<_>>()?,
+            Some(blocks) => read_blocks(&entries.place("blocks"), &blocks)?,
         };
         let activation = match entries.take("activation")? {
             None => Activation::default(),
             Some(name) => {
                 let place = entries.place("activation");
-                let name: String = name.extract().map_err(|_| {
-                    let found = describe(&name);
-                    PyTypeError::new_err(format!("{place}: expected a name, got {found}"))
-                })?;
+                let name = name.extract::<Text>()?.get(&place)?;
                 Activation::from_name(&name).map_err(|error| within(entries.argument, error))?
             }
         };
@@ -165,6 +169,35 @@ impl<'py> Network<'py> {
             output: self.output.view(),
         }
     }
+}
+
+/// Blocks of two layers each.
+fn read_blocks<'py>(place: &str, object: &Bound<'py, PyAny>) -> PyResult<Vec<[Layer<'py>; 2]>> {
+    let blocks = several(place, "blocks of two layers", object, MOST_BLOCKS)?;
+    if blocks.len() > MOST_BLOCKS {
+        let problem = format!("{place}: must be at most {MOST_BLOCKS} blocks, got more");
+        return Err(PyValueError::new_err(problem));
+    }
+    let read = |(number, block): (usize, &Bound<'py, PyAny>)| {
+        let place = format!("{place}[{number}]");
+        let [first, second] = pair(&place, "two layers", block)?;
+        Ok([
+            Layer::read(&format!("{place}[0]"), &first)?,
+            Layer::read(&format!("{place}[1]"), &second)?,
+        ])
+    };
+    blocks.iter().enumerate().map(read).collect()
+}
+
+/// A scale of all numbers or of each, `[Z]`.
+fn read_scale(place: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<f32>> {
+    match object.extract::<Real>()?.single(place) {
+        Ok(scale) => return Ok(vec![scale]),
+        Err(other) if !other.is_instance_of::<PyTypeError>(object.py()) => return Err(other),
+        Err(_) => {}
+    }
+    let scale: PyReadonlyArray1<'_, f32> = array(place, object, "float32 [Z], or a number")?;
+    Ok(scale.as_array().to_vec())
 }
 
 /// An error about a part of `argument`.
@@ -197,18 +230,8 @@ pub fn dynamics(object: &Bound<'_, PyAny>) -> PyResult<Dynamics> {
         })
     } else {
         let network = Network::read(&entries)?;
-        let scale = match entries.take("scale")? {
-            None => None,
-            Some(scale) => Some(match scale.extract::<f32>() {
-                Ok(scale) => vec![scale],
-                Err(_) => {
-                    let expected = "float32 [Z], or a number";
-                    let scale: PyReadonlyArray1<'_, f32> =
-                        array(&entries.place("scale"), &scale, expected)?;
-                    scale.as_array().to_vec()
-                }
-            }),
-        };
+        let scale = entries.take("scale")?;
+        let scale = scale.map(|scale| read_scale(&entries.place("scale"), &scale)).transpose()?;
         Dynamics::mlp(&network.view(), aview1(scale.as_deref().unwrap_or(&[1.0])))
     };
     entries.finish()?;

@@ -5,10 +5,10 @@ use hvf_core_rs::layers::{
     Backdrop, Cell, CellWeights, Gallery, GalleryImages, LayerFrames, LayerWorld, Painter, Sprites,
 };
 use hvf_core_rs::nn::Linear;
-use hvf_core_rs::planner::{Frames, WorldModel};
-use ndarray::{Ix2, Ix3, Ix4};
+use hvf_core_rs::planner::Frames;
+use ndarray::{Array3, Array4, Ix2, Ix4};
 use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray4, PyArray5, PyReadonlyArray1, PyReadonlyArray2,
+    IntoPyArray, PyArray2, PyArray4, PyArray5, PyReadonlyArray1, PyReadonlyArray2,
     PyReadonlyArray4, PyReadonlyArray5,
 };
 use pyo3::exceptions::PyValueError;
@@ -19,6 +19,7 @@ use crate::arguments::{
 };
 use crate::error::to_py;
 use crate::threads::detached;
+use crate::worlds::{self, action_box, rollout_costs_doc, shared_rollout_costs_doc, Costs};
 
 /// Weights and bias of a layer.
 type Layer<'py> = (PyReadonlyArray2<'py, f32>, PyReadonlyArray1<'py, f32>);
@@ -56,7 +57,10 @@ fn network<'a>(layers: &'a [Layer<'_>]) -> Vec<Linear<'a>> {
     layers.iter().map(|(weights, bias)| (weights.as_array(), bias.as_array())).collect()
 }
 
-/// Frames of a `LayerWorld`.
+/// Frames of a `LayerWorld`: images, the same without the arm, where parts are, and states.
+///
+/// Made by `LayerWorld.frames`. `frames[i]` are those at an integer (one frame, still a batch) or
+/// at integers `[N]`; they share memory.
 #[pyclass(name = "LayerFrames", module = "hvf_core", frozen)]
 pub struct PyLayerFrames {
     /// The frames.
@@ -101,8 +105,46 @@ impl PyLayerFrames {
     }
 }
 
-/// The desk's learned dynamics model as a world model. Actions beyond the box are taken as they
-/// are: the model extrapolates.
+/// The desk's learned dynamics model, evaluated in Rust; a world model with actions in [-1, 1].
+///
+/// `hvf.worlds.layers.LayerWorld` makes one from a trained
+/// `hvf.models.layers.dynamics.LayerDynamics`. The cost is the squared pixel distance of the
+/// predicted frame to the goal, per pixel. Costs agree with those of torch to 1e-3 of their value,
+/// rollouts of 15 steps to 1e-2 pixels. Actions beyond the box are taken as they are: the model,
+/// which was trained within it, extrapolates.
+///
+/// Letters in shapes: `A` = 3 action dimensions, `G` = 2 sliders, `R` parts that roam, `C` length
+/// of their memory, `T` size of a tile, `W` size of a sprite, `S` image size, `X` = A + G + 3R
+/// length of a state (hand; sliders; row, column and presence of each part).
+/// Networks are lists of layers, weights `[outputs, inputs]` and bias `[outputs]` as in
+/// `torch.nn.Linear`, with rectified units between.
+///
+/// Args:
+///     hand: From hand, action and sliders (2A + G) to the hand's motion (A).
+///     sliders: For each, from sliders, hand, motion and action (G + 3A) to its motion (1).
+///     parts: From the hand beside the part, the hand's way, hand, motion, action, the part and its
+///         memory (7 + 3A + C) to its motion, change of presence and of memory (3 + C).
+///     contact: Terms of the pixel where the hand meets parts, float32
+///         `[1 + A + A (A + 1) / 2, 2]`.
+///     reach: Pixels from the hand's way beyond which a part does not move.
+///     arm_low: The hand's code at the first place of the grid of the arm's images, A numbers.
+///     arm_step: From one place to the next.
+///     arm_places: Places of the grid in each dimension.
+///     arm_patches: Opacity and colour times opacity of tiles, uint8 `[M, 4, T, T]`; the first is
+///         empty.
+///     arm_index: Number of the patch in each tile of each place's image, int32
+///         `[places, (S / T)**2]`.
+///     table: What is behind everything, uint8 `[bins, bins, 3, S, S]` over the sliders' ways.
+///     sprites: Opacity and colour times opacity of each part, float32 `[R, 4, W, W]`.
+///     blur: Standard deviation of the Gaussian blur before frames are compared, in pixels.
+///     over_horizon: 'last', 'sum' or 'min' over the predicted frames.
+///     hold: Steps that each action is held for; only frames after a held action count.
+///     scene_weight: How often what is behind the arm counts, beside the whole frame: the squared
+///         distance of frames without their arms, where the goal's hides nothing, without a blur.
+///
+/// Raises:
+///     ValueError: Shapes that do not fit each other, or numbers out of range, of any size.
+///     TypeError: Arrays of another dtype, or objects of another kind.
 #[pyclass(name = "LayerWorld", module = "hvf_core", frozen)]
 pub struct PyLayerWorld {
     /// The world.
@@ -184,19 +226,18 @@ impl PyLayerWorld {
         Ok(Self { inner: build().map_err(to_py)? })
     }
 
-    /// Lowest action, float32 `[A]`.
-    #[getter]
-    fn action_low<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_slice(py, self.inner.action_space().low())
-    }
-
-    /// Highest action, float32 `[A]`.
-    #[getter]
-    fn action_high<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_slice(py, self.inner.action_space().high())
-    }
-
     /// Frames of this world.
+    ///
+    /// Args:
+    ///     images: uint8 `[N, S, S, 3]`.
+    ///     clean: The same without the arm, in [0, 1], float32 `[N, S, S, 3]`.
+    ///     regions: Where each part is in them, bool `[N, R, S, S]`.
+    ///     states: float32 `[N, X]`.
+    ///
+    /// Raises:
+    ///     ValueError: Shapes that do not fit each other or the world, or numbers that are not
+    ///         finite.
+    ///     TypeError: Arrays of another dtype, or what is no array.
     fn frames(
         &self,
         images: &Bound<'_, PyAny>,
@@ -215,41 +256,40 @@ impl PyLayerWorld {
         Ok(PyLayerFrames { inner })
     }
 
-    /// Planning costs float32 `[B, D]` of `actions [B, D, H, A]`.
+    #[doc = rollout_costs_doc!()]
     fn rollout_costs<'py>(
         &self,
         py: Python<'py>,
         starts: &Bound<'py, PyAny>,
         goals: &Bound<'py, PyAny>,
         actions: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let starts = frames("starts", starts)?;
-        let goals = frames("goals", goals)?;
-        let actions = array::<f32, Ix4>("actions", actions, "float32 [B, D, H, A]")?;
-        let actions = actions.as_array().to_owned();
-        let costs = detached(py, || self.inner.rollout_costs(starts, goals, actions.into()))?
-            .map_err(to_py)?;
-        Ok(costs.into_pyarray(py))
+    ) -> PyResult<Costs<'py>> {
+        let frames = [frames("starts", starts)?, frames("goals", goals)?];
+        let actions = worlds::actions(actions, "float32 [B, D, H, A]")?;
+        worlds::rollout_costs(py, &self.inner, frames, actions)
     }
 
-    /// Planning costs float32 `[B, D]` of `actions [D, H, A]` from one start for every goal.
+    #[doc = shared_rollout_costs_doc!()]
     fn shared_rollout_costs<'py>(
         &self,
         py: Python<'py>,
         start: &Bound<'py, PyAny>,
         goals: &Bound<'py, PyAny>,
         actions: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let start = frames("start", start)?;
-        let goals = frames("goals", goals)?;
-        let actions = array::<f32, Ix3>("actions", actions, "float32 [D, H, A]")?;
-        let actions = actions.as_array();
-        let costs =
-            detached(py, || self.inner.shared_costs(start, goals, actions))?.map_err(to_py)?;
-        Ok(costs.into_pyarray(py))
+    ) -> PyResult<Costs<'py>> {
+        let frames = [frames("start", start)?, frames("goals", goals)?];
+        let actions = worlds::actions(actions, "float32 [D, H, A]")?;
+        worlds::shared_rollout_costs(py, &self.inner, frames, actions)
     }
 
-    /// Predicted states float32 `[B, D, H, X]` of `actions [B, D, H, A]`.
+    /// Predicted states, float32 `[B, D, H, X]`.
+    ///
+    /// Args:
+    ///     starts: Frames of this world that candidates start from, `[B]`.
+    ///     actions: float32 `[B, D, H, A]`, at most 2**28 numbers, as must the answer be.
+    ///
+    /// Raises:
+    ///     As `rollout_costs`.
     fn rollout<'py>(
         &self,
         py: Python<'py>,
@@ -257,13 +297,22 @@ impl PyLayerWorld {
         actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray4<f32>>> {
         let starts = frames("starts", starts)?;
-        let actions = array::<f32, Ix4>("actions", actions, "float32 [B, D, H, A]")?;
-        let actions = actions.as_array();
-        let paths = detached(py, || self.inner.rollout(starts, actions))?.map_err(to_py)?;
+        let actions: Array4<f32> = worlds::actions(actions, "float32 [B, D, H, A]")?;
+        let (problems, candidates, steps, _) = actions.dim();
+        worlds::few("actions", &[problems, candidates, steps, starts.state_size()])?;
+        let paths = detached(py, || self.inner.rollout(starts, actions.view()))?.map_err(to_py)?;
         Ok(paths.into_pyarray(py))
     }
 
-    /// Frames float32 `[N, S, S, 3]` in [0, 1] of what `starts` look like at `states [N, X]`.
+    /// What frames look like with other states, float32 `[N, S, S, 3]` in [0, 1].
+    ///
+    /// Args:
+    ///     starts: Frames of this world, `[N]`: their scene, and what is seen where.
+    ///     states: The states to be drawn, float32 `[N, X]`.
+    ///
+    /// Raises:
+    ///     ValueError: Frames or states that do not fit the world or each other.
+    ///     TypeError: An argument of another kind or dtype.
     fn draw<'py>(
         &self,
         py: Python<'py>,
@@ -277,7 +326,15 @@ impl PyLayerWorld {
         Ok(drawn.into_pyarray(py))
     }
 
-    /// Predicted frames uint8 `[N, H, S, S, 3]` of `actions [N, H, A]`.
+    /// Predicted frames, uint8 `[N, H, S, S, 3]`.
+    ///
+    /// Args:
+    ///     starts: Frames of this world, `[N]`.
+    ///     actions: What is done from each, float32 `[N, H, A]`. The answer may have at most 2**28
+    ///         numbers.
+    ///
+    /// Raises:
+    ///     As `rollout_costs`.
     fn predict<'py>(
         &self,
         py: Python<'py>,
@@ -285,12 +342,16 @@ impl PyLayerWorld {
         actions: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray5<u8>>> {
         let starts = frames("starts", starts)?;
-        let actions = array::<f32, Ix3>("actions", actions, "float32 [N, H, A]")?;
-        let actions = actions.as_array();
-        let predicted = detached(py, || self.inner.predict(starts, actions))?.map_err(to_py)?;
-        Ok(predicted.into_pyarray(py))
+        let actions: Array3<f32> = worlds::actions(actions, "float32 [N, H, A]")?;
+        let (count, steps, _) = actions.dim();
+        let size = starts.image_size();
+        worlds::few("actions", &[count, steps, size, size, 3])?;
+        let predicted = detached(py, || self.inner.predict(starts, actions.view()))?;
+        Ok(predicted.map_err(to_py)?.into_pyarray(py))
     }
 }
+
+action_box!(PyLayerWorld);
 
 fn frames<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a LayerFrames> {
     Ok(&instance::<PyLayerFrames>(argument, object)?.get().inner)

@@ -11,6 +11,7 @@ mod layers;
 mod maze;
 mod planner;
 mod threads;
+mod worlds;
 
 use pyo3::prelude::*;
 

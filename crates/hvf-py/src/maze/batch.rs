@@ -12,15 +12,19 @@ use crate::arguments::{array, new_array, unfit, Whole};
 use crate::error::to_py;
 use crate::threads::detached;
 
-/// States after one step of `actions[N, 2]`.
+/// States after one step, float64 `[N, 4]`.
 ///
-/// `states` are float64 `[N, 4]`, rows `(x, y, w1, w2)` in metres: centre of the agent and of the
-/// gaps of the left and right wall. Actions are float32 `[N, 2]` in units of 0.05 N, clipped to
-/// `[-3, 3]`. Returns float64 `[N, 4]`. With a `layout` rows are `(x, y, gap, ..)`, here and in
-/// the other functions of the maze.
+/// Args:
+///     states: float `[N, 4]`, rows `(x, y, w1, w2)` in metres: centre of the agent and of the gaps
+///         of the left and right wall.
+///     actions: float `[N, 2]` in units of 0.05 N, clipped to `[-3, 3]`.
+///     layout: The layout that states are of, whose rows are `(x, y, gap, ..)`, here and in the
+///         other functions of the maze; None for the paper's maze.
 ///
-/// Raises ValueError for shapes that do not match, states outside the arena and actions that are
-/// not finite; TypeError for what is no array.
+/// Raises:
+///     ValueError: Shapes that do not match, states outside the arena or in a wall, actions that
+///         are not finite.
+///     TypeError: What is no array of numbers.
 #[pyfunction]
 #[pyo3(
     signature = (states, actions, layout = None),
@@ -45,9 +49,17 @@ fn maze_step<'py>(
     })
 }
 
-/// Frames of `states[N, 4]`: uint8 `[N, size, size, 3]`, RGB, row 0 at the top.
+/// Images of states: uint8 `[N, size, size, 3]`, RGB, row 0 at the top.
 ///
-/// Raises ValueError for a size outside 8..2048 or states that `maze_step` refuses.
+/// Args:
+///     states: float `[N, 4]`, as for `maze_step`.
+///     size: Height and width, pixels, from 8 to 2048; None for 64.
+///     layout: As for `maze_step`.
+///
+/// Raises:
+///     ValueError: A size out of range, or states that `maze_step` refuses.
+///     TypeError: An argument of another kind.
+///     MemoryError: The images do not fit into memory.
 #[pyfunction]
 #[pyo3(
     signature = (states, size = None, layout = None),
@@ -73,12 +85,18 @@ fn maze_render<'py>(
     Ok(frames)
 }
 
-/// The states that `images` show: uint8 `[N, S, S, 3]` to float64 `[N, 4]`.
+/// The states that images show, float64 `[N, 4]`.
 ///
 /// Right to about 0.1 mm on rendered frames of 64 pixels or more; a best guess, and always a legal
 /// state, on others.
 ///
-/// Raises TypeError for what is not uint8, ValueError for other shapes.
+/// Args:
+///     images: uint8 `[N, S, S, 3]`.
+///     layout: The layout that they show; None for the paper's maze.
+///
+/// Raises:
+///     ValueError: Another shape.
+///     TypeError: Another dtype, or what is no array.
 #[pyfunction]
 #[pyo3(signature = (images, layout = None), text_signature = "(images, layout=None)")]
 fn maze_locate<'py>(
@@ -108,10 +126,16 @@ fn maze_locate<'py>(
     })
 }
 
-/// Whether the agent is within 0.05 m of its target: `states[N, 4]`, `targets[N, 2]` to bool
-/// `[N]`.
+/// Whether agents are within 0.05 m of their targets: bool `[N]`.
 ///
-/// Raises ValueError for shapes that do not match.
+/// Args:
+///     states: float `[N, 4]`, as for `maze_step`.
+///     targets: float `[N, 2]`, metres.
+///     layout: As for `maze_step`.
+///
+/// Raises:
+///     ValueError: Shapes that do not match, or numbers that are not finite.
+///     TypeError: What is no array of numbers.
 #[pyfunction]
 #[pyo3(
     signature = (states, targets, layout = None),

@@ -17,14 +17,23 @@ const FRAMES_PER_CHUNK: usize = 20_000;
 /// Episodes between two such looks.
 const EPISODES_PER_CHUNK: usize = 1 << 16;
 
-/// Episodes `first..first + count` of a seed: `(starts [N, 4], targets [N, 2])`, float64.
+/// Episodes of a seed: `(starts [N, 4], targets [N, 2])`, float64, metres.
 ///
-/// `difficulty` is 'easy', 'medium' or 'hard' (none, one or two gaps to pass); in its place a
-/// `layout` may be given, from whose regions start and target are drawn. Episode `i` is keyed by
-/// `(seed, i)`, so it is the same whatever range it is drawn in. The goal state is
-/// `(target_x, target_y, w1, w2)`, its image the goal image.
+/// Episode `i` is keyed by `(seed, i)`, so it is the same whatever range it is drawn in. The goal
+/// state is `(target_x, target_y, w1, w2)`, its image the goal image.
 ///
-/// Raises ValueError for another difficulty, both or neither of the two, or negative numbers.
+/// Args:
+///     seed: From 0 to 2**64 - 1.
+///     first: Number of the first episode.
+///     count: How many, `N`.
+///     difficulty: 'easy', 'medium' or 'hard' (none, one or two gaps to pass).
+///     layout: In place of a difficulty: starts and targets are drawn from the layout's regions,
+///         and starts are its states, `(x, y, gap, ..)`.
+///
+/// Raises:
+///     ValueError: Another difficulty, both or neither of the two, or negative numbers.
+///     TypeError: An argument of another kind.
+///     MemoryError: The episodes do not fit into memory.
 #[pyfunction]
 #[pyo3(
     signature = (seed, first, count, difficulty = None, layout = None),
@@ -82,14 +91,22 @@ fn maze_episodes<'py>(
     Ok((starts, targets))
 }
 
-/// Ground-truth subgoals of `starts[N, 4]` and `targets[N, 2]`: states, float64
-/// `[N, subgoals, 4]`.
+/// Ground-truth subgoals: states, float64 `[N, subgoals, 4]`.
 ///
 /// The agent centred in the gaps that it has to pass, in order; on the straight line to the
 /// target if there are none. In a `layout` at turns of the shortest way to the target, or between
 /// them if there are fewer, moved a little towards the middle of free space.
 ///
-/// Raises ValueError for shapes that do not match.
+/// Args:
+///     starts: States that episodes start from, float `[N, 4]`, as for `maze_step`.
+///     targets: Where they aim, float `[N, 2]`, metres.
+///     subgoals: How many for each, `K`.
+///     layout: As for `maze_step`.
+///
+/// Raises:
+///     ValueError: Shapes that do not match, or numbers out of range.
+///     TypeError: An argument of another kind.
+///     MemoryError: The subgoals do not fit into memory.
 #[pyfunction]
 #[pyo3(
     signature = (starts, targets, subgoals, layout = None),
@@ -117,15 +134,25 @@ fn maze_subgoals<'py>(
 
 type Interaction<'py> = (Bound<'py, PyArrayDyn<u8>>, Bound<'py, PyArrayDyn<f32>>, Floats<'py>);
 
-/// Random interaction, episodes `first..first + count` of a seed, `steps` steps each:
-/// `(images uint8 [N, T + 1, size, size, 3], actions float32 [N, T, 2], states float64
-/// [N, T + 1, 4])`.
+/// Random interaction: `(images, actions, states)`.
 ///
-/// Starts are uniform over free space in random scenes, actions uniform over the box. Episode
-/// `i` is keyed by `(seed, i)`: ranges can be collected in any order and chunking. Ctrl-C stops
-/// it.
+/// `images` are uint8 `[N, T + 1, size, size, 3]`, `actions` float32 `[N, T, 2]`, `states` float64
+/// `[N, T + 1, 4]`. Starts are uniform over free space in random scenes, actions uniform over the
+/// box. Episode `i` is keyed by `(seed, i)`: ranges can be collected in any order and chunking.
+/// Ctrl-C stops it.
 ///
-/// Raises ValueError for negative or zero sizes, MemoryError where the frames do not fit.
+/// Args:
+///     seed: From 0 to 2**64 - 1.
+///     first: Number of the first episode.
+///     count: How many, `N`.
+///     steps: Steps of each, `T`, at least 1.
+///     size: Height and width of the images, pixels, from 8 to 2048; None for 64.
+///     layout: As for `maze_step`.
+///
+/// Raises:
+///     ValueError: Negative or zero sizes.
+///     TypeError: An argument of another kind.
+///     MemoryError: The frames do not fit into memory.
 #[pyfunction]
 #[pyo3(
     signature = (seed, first, count, steps, size = None, layout = None),

@@ -15,9 +15,18 @@ use crate::threads::detached;
 
 /// Frames of the maze: states, with the images they were read off where there are any.
 ///
-/// `MazeFrames(states)` takes float64 `[N, 4]`, rows `(x, y, w1, w2)`; its images are drawn where
-/// they are needed, with `image_size` pixels. `MazeWorld.observe` makes frames of images. With a
-/// `layout` rows are its states, `(x, y, gap, ..)`.
+/// Frames of states have their images drawn where they are needed; `MazeWorld.observe` makes frames
+/// of images. `frames[i]` are those at an integer (one frame, still a batch) or at integers `[N]`.
+///
+/// Args:
+///     states: float `[N, 4]`, rows `(x, y, w1, w2)`, metres.
+///     image_size: Height and width of the images, pixels, from 8 to 2048.
+///     layout: The layout that the states are of, whose rows are `(x, y, gap, ..)`; None for the
+///         paper's maze.
+///
+/// Raises:
+///     ValueError: States or sizes that `maze_render` refuses.
+///     TypeError: An argument of another kind.
 #[pyclass(name = "MazeFrames", module = "hvf_core", frozen)]
 pub struct PyMazeFrames {
     /// The frames.

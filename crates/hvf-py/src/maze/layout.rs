@@ -45,18 +45,25 @@ impl Kept {
 
 /// A maze of any layout: walls as boxes that may be turned and may have gaps.
 ///
-/// `walls` is float `[W, 5]`, rows `(x, y, half_x, half_y, angle)`: centre and half extents in
-/// metres, turn in degrees, anticlockwise. `gaps` is float `[G, 4]`, rows `(wall, half, low,
-/// high)`, in the order of their walls, at most one a wall: an opening of half-width `half` across
-/// the wall's second axis, whose centre every episode draws from `[low, high]`, from the wall's
-/// centre. `start` and `goal` are `(low x, high x, low y, high y)`: where episodes start and aim.
-/// `arena` holds the half-widths of the arena, up to 0.3 m, which is what the camera sees.
+/// A state of a layout is a row `(x, y, gap, ..)` of `2 + G` numbers, metres: where the centres of
+/// the agent and of the gaps (along their walls) are. Layouts compare by what they are, and can be
+/// copied and pickled.
 ///
-/// A state of a layout is a row `(x, y, gap, ..)` of 2 + G numbers: where the agent's centre and
-/// the gaps' centres are.
+/// Args:
+///     name: Its name.
+///     walls: Float `[W, 5]`, rows `(x, y, half_x, half_y, angle)`: centre and half extents,
+///         metres, turn in degrees, anticlockwise.
+///     start: Where episodes start, `(low x, high x, low y, high y)`, metres.
+///     goal: Where they aim.
+///     arena: Half-widths of the arena, up to 0.3 m, which is what the camera sees; None for 0.3.
+///     gaps: Float `[G, 4]`, rows `(wall, half, low, high)` in the order of their walls, at most
+///         one a wall: an opening of half-width `half` across the wall's second axis, whose centre
+///         every episode draws from `[low, high]`, from the wall's centre. None for none.
 ///
-/// Raises ValueError for numbers out of range, a wall outside the arena, a gap that the agent
-/// does not fit through, a start or goal that walls fill, and a goal that cannot be reached.
+/// Raises:
+///     ValueError: Numbers out of range, a wall outside the arena, a gap that the agent does not
+///         fit through, a start or goal that walls fill, a goal that cannot be reached.
+///     TypeError: An argument of another kind.
 #[pyclass(name = "MazeLayout", module = "hvf_core", frozen)]
 pub struct PyMazeLayout {
     /// The layout.
@@ -107,10 +114,15 @@ impl PyMazeLayout {
             .map_err(to_py)
     }
 
-    /// The layout of a name: 'easy', 'medium', 'hard' (the paper's), 'corridor-1' to 'corridor-7'
-    /// (walls from border to border with a gap each), 'u-maze' or 'spiral'.
+    /// The layout of a name, one of `MAZE_LAYOUTS`.
     ///
-    /// Raises ValueError for another name.
+    /// Args:
+    ///     name: 'easy', 'medium' or 'hard' (the paper's), 'corridor-1' to 'corridor-7' (walls from
+    ///         border to border with a gap each), 'u-maze' or 'spiral'.
+    ///
+    /// Raises:
+    ///     ValueError: Another name.
+    ///     TypeError: What is no string.
     #[staticmethod]
     fn preset(name: Text) -> PyResult<Self> {
         preset(&name.get("layout")?).map(Self::of).map_err(to_py)

@@ -7,13 +7,9 @@ use hvf_core_rs::maze::ground::Ground;
 use hvf_core_rs::maze::{
     MazeFrames, MazeSubgoals, MazeWorld, MazeWorldConfig, Renderer, State, States,
 };
-use hvf_core_rs::planner::{Frames, SubgoalModel, WorldModel};
-use hvf_core_rs::Error;
+use hvf_core_rs::planner::{Frames, SubgoalModel};
 use ndarray::{Array3, Ix3, Ix4};
-use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray4, PyUntypedArray,
-    PyUntypedArrayMethods,
-};
+use numpy::{IntoPyArray, PyArray3, PyReadonlyArray4, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -23,15 +19,25 @@ use super::layout::{layout_of, other_than_paper, Kept};
 use crate::arguments::{array, axes_of, numbers, text, unfit, Given, Real, Text, Whole};
 use crate::error::to_py;
 use crate::threads::detached;
+use crate::worlds::{self, action_box, Costs};
 
 /// The maze's true simulator as a world model.
 ///
 /// The planning cost is the pixel cost (`image_cost`) between the frame that simulator and
-/// renderer would give and the goal image, computed without drawing it. `blur` is the standard
-/// deviation, in pixels, of a Gaussian blur of both; `over_horizon` says which predicted frames
-/// count: 'last', 'sum' or 'min'. Actions beyond the box count as the nearest within, as in the
-/// environment. Images are read as showing `layout` (None for the paper's maze); frames of states
-/// have their layout with them. The planners use it without the GIL.
+/// renderer would give and the goal image, computed without drawing it. Actions beyond the box
+/// `[-3, 3]` count as the nearest within, as in the environment. The planners use it without the
+/// GIL.
+///
+/// Args:
+///     image_size: Height and width of the images, pixels, from 8 to 2048.
+///     blur: Standard deviation, in pixels, of a Gaussian blur of both images.
+///     over_horizon: Which predicted frames count: 'last', 'sum' or 'min'.
+///     layout: What images are read as showing; None for the paper's maze. Frames of states have
+///         their layout with them.
+///
+/// Raises:
+///     ValueError: A number out of range, or another name.
+///     TypeError: An argument of another kind.
 #[pyclass(name = "MazeWorld", module = "hvf_core", frozen)]
 pub struct PyMazeWorld {
     /// The world.
@@ -69,18 +75,6 @@ impl PyMazeWorld {
         Ok(Self { inner })
     }
 
-    /// Lowest action, float32 `[2]`.
-    #[getter]
-    fn action_low<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_slice(py, self.inner.action_space().low())
-    }
-
-    /// Highest action, float32 `[2]`.
-    #[getter]
-    fn action_high<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_slice(py, self.inner.action_space().high())
-    }
-
     /// Height and width of the images, pixels.
     #[getter]
     fn image_size(&self) -> usize {
@@ -99,9 +93,14 @@ impl PyMazeWorld {
         self.inner.config().over_horizon.name()
     }
 
-    /// Frames of images uint8 `[N, S, S, 3]`; where a rollout starts is read off them.
+    /// Frames of images; where a rollout starts is read off them.
     ///
-    /// Raises ValueError for images of another size, TypeError for what is not uint8.
+    /// Args:
+    ///     images: uint8 `[N, S, S, 3]`, or one, `[S, S, 3]`.
+    ///
+    /// Raises:
+    ///     ValueError: Images of another size.
+    ///     TypeError: What is not uint8.
     fn observe(&self, py: Python<'_>, images: &Bound<'_, PyAny>) -> PyResult<PyMazeFrames> {
         let images = self.images("images", images)?;
         let images = images.as_array();
@@ -112,45 +111,63 @@ impl PyMazeWorld {
         Ok(PyMazeFrames { inner: inner.map_err(to_py)? })
     }
 
-    /// Planning costs float32 `[B, D]` of `actions [B, D, H, 2]` from `starts` to `goals`, B
-    /// frames each (`MazeFrames` or uint8 images).
+    /// Planning costs of candidates, float32 `[B, D]`.
     ///
-    /// A candidate whose actions are not finite costs NaN. Raises ValueError for other shapes.
+    /// One whose actions are not finite costs NaN.
+    ///
+    /// Args:
+    ///     starts: `MazeFrames`, or uint8 images, that candidates start from, `[B]`.
+    ///     goals: Frames or images that they are compared with, `[B]`.
+    ///     actions: float `[B, D, H, 2]`, at most 2**28 numbers.
+    ///
+    /// Raises:
+    ///     ValueError: Frames or actions that do not fit the world or each other.
+    ///     TypeError: An argument of another kind.
     fn rollout_costs<'py>(
         &self,
         py: Python<'py>,
         starts: &Bound<'py, PyAny>,
         goals: &Bound<'py, PyAny>,
         actions: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    ) -> PyResult<Costs<'py>> {
         let starts = self.frames(py, "starts", starts)?;
         let goals = self.frames(py, "goals", goals)?;
-        let actions = numbers::<f32, Ix4>("actions", actions, "a float array [B, D, H, 2]")?;
-        let costs = detached(py, || self.inner.rollout_costs(&starts, &goals, actions.into()))?;
-        Ok(costs.map_err(to_py)?.into_pyarray(py))
+        let actions = worlds::any_actions::<Ix4>(actions, "a float array [B, D, H, 2]")?;
+        worlds::rollout_costs(py, &self.inner, [&starts, &goals], actions)
     }
 
-    /// The same costs where all problems have one start and one set of candidates: float32
-    /// `[B, D]` of `actions [D, H, 2]` from `start` (one frame) to B `goals`.
+    /// Planning costs of the same candidates from one start to every goal, float32 `[B, D]`.
+    ///
+    /// Those of `rollout_costs`, to the last bit.
+    ///
+    /// Args:
+    ///     start: The frame or image that all candidates start from, `[1]`.
+    ///     goals: Frames or images that they are compared with, `[B]`.
+    ///     actions: float `[D, H, 2]`, at most 2**28 numbers.
+    ///
+    /// Raises:
+    ///     As `rollout_costs`.
     fn shared_rollout_costs<'py>(
         &self,
         py: Python<'py>,
         start: &Bound<'py, PyAny>,
         goals: &Bound<'py, PyAny>,
         actions: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    ) -> PyResult<Costs<'py>> {
         let start = self.frames(py, "start", start)?;
         let goals = self.frames(py, "goals", goals)?;
-        let actions = numbers::<f32, Ix3>("actions", actions, "a float array [D, H, 2]")?;
-        let costs = detached(py, || {
-            self.inner
-                .shared_rollout_costs(&start, &goals, actions.into())
-                .unwrap_or_else(|| Err(Error::Model("cannot share rollouts".into())))
-        })?;
-        Ok(costs.map_err(to_py)?.into_pyarray(py))
+        let actions = worlds::any_actions::<Ix3>(actions, "a float array [D, H, 2]")?;
+        worlds::shared_rollout_costs(py, &self.inner, [&start, &goals], actions)
     }
 
-    /// States float64 `[D, H, S]` that `actions [D, H, 2]` lead through from `start`, one frame.
+    /// States that candidates lead through, float64 `[D, H, S]`.
+    ///
+    /// Args:
+    ///     start: The frame or image that all candidates start from, `[1]`.
+    ///     actions: float `[D, H, 2]`, at most 2**28 numbers.
+    ///
+    /// Raises:
+    ///     As `rollout_costs`.
     fn rollout<'py>(
         &self,
         py: Python<'py>,
@@ -162,7 +179,7 @@ impl PyMazeWorld {
             let problem = format!("start: must be one frame, got {}", start.len());
             return Err(PyValueError::new_err(problem));
         }
-        let actions = numbers::<f32, Ix3>("actions", actions, "a float array [D, H, 2]")?;
+        let actions = worlds::any_actions::<Ix3>(actions, "a float array [D, H, 2]")?;
         Ok(match &start.states() {
             States::Paper(states) => self.rows_of_rollout(py, &states[0], &actions)?,
             States::Laid(states) => self.rows_of_rollout(py, &states[0], &actions)?,
@@ -176,6 +193,8 @@ impl PyMazeWorld {
         format!("MazeWorld(image_size={image_size}, blur={blur:?}, over_horizon='{name}')")
     }
 }
+
+action_box!(PyMazeWorld);
 
 impl PyMazeWorld {
     fn rows_of_rollout<S: Ground>(
@@ -220,13 +239,17 @@ impl PyMazeWorld {
     }
 }
 
-/// The oracle among subgoal generators: latents to images of the scene with the agent anywhere it
-/// can stand, uniformly. What a perfect generative model of the maze would do.
+/// The oracle among subgoal generators: images of a scene with the agent anywhere it can stand.
 ///
-/// `decode(scene, latents)` takes one frame of any world (`MazeFrames`, a uint8 image
-/// `[1, S, S, 3]`, or frames with such `images`) and float32 `[M, K, L]`, of which the first two
-/// latents are used, and gives `MazeFrames` of `M * K` frames. Images are read as showing
-/// `layout` (None for the paper's maze).
+/// Uniformly: what a perfect generative model of the maze would do.
+///
+/// Args:
+///     latent_dim: Numbers of a latent, at least 2: the first two say where the agent is.
+///     layout: What images are read as showing; None for the paper's maze.
+///
+/// Raises:
+///     ValueError: A number out of range.
+///     TypeError: An argument of another kind.
 #[pyclass(name = "MazeSubgoals", module = "hvf_core", frozen)]
 pub struct PyMazeSubgoals {
     inner: MazeSubgoals,
@@ -246,13 +269,22 @@ impl PyMazeSubgoals {
         Ok(Self { inner: MazeSubgoals::new(latent_dim).map_err(to_py)?, layout })
     }
 
-    /// Latents of one image.
+    /// Numbers of a latent, `L`.
     #[getter]
     fn latent_dim(&self) -> usize {
         self.inner.latent_dim()
     }
 
-    /// Images `[M * K]`, sample-major, of `latents [M, K, L]` in the scene of one frame.
+    /// `MazeFrames` of `M * K` images, sample-major.
+    ///
+    /// Args:
+    ///     scene: One frame of any world: `MazeFrames`, a uint8 image `[1, S, S, 3]`, or frames
+    ///         with such `images`.
+    ///     latents: float `[M, K, L]`.
+    ///
+    /// Raises:
+    ///     ValueError: A scene of more or less than one frame, or latents of another shape.
+    ///     TypeError: An argument of another kind.
     fn decode(
         &self,
         scene: &Bound<'_, PyAny>,

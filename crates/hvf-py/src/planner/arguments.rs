@@ -1,10 +1,12 @@
-//! What planners are called with beside models and frames: seeds, earlier plans, corners.
+//! What planners are called with beside models: a frame, seeds, earlier plans, corners.
 
-use hvf_core_rs::planner::Plan;
+use hvf_core_rs::planner::{Frames, Plan};
 use ndarray::{Array3, Array4, Axis, Ix1, Ix2, Ix3, Ix4, Slice};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 
+use super::border::{Axes, Border, FramesOf};
 use super::results::{PyPlan, PyPlans};
 pub use crate::arguments::Whole;
 use crate::arguments::{items, numbers, Given};
@@ -106,4 +108,29 @@ fn none_without_plan(elites: Option<Array4<f32>>) -> PyResult<Option<LastPlans>>
 pub fn corner(argument: &str, corner: Option<&Bound<'_, PyAny>>) -> PyResult<Option<Vec<f64>>> {
     let read = |corner| numbers::<f64, Ix1>(argument, corner, "a float array [A]");
     Ok(corner.map(read).transpose()?.map(|corner| corner.to_vec()))
+}
+
+/// One frame, named in the error if it is more or fewer.
+pub fn one_frame<B: Border>(
+    border: &B,
+    argument: &str,
+    object: &Bound<'_, PyAny>,
+) -> PyResult<FramesOf<B>> {
+    let frames = border.read(argument, object, Axes::OneOrBatch)?;
+    match frames.len() {
+        1 => Ok(frames),
+        count => Err(PyValueError::new_err(format!(
+            "{argument}: must be one uint8 image [H, W, 3] or one frame of the model, got {count} \
+             frames"
+        ))),
+    }
+}
+
+/// `name=value, ..` of a dictionary.
+pub fn keywords(arguments: &Bound<'_, PyDict>) -> PyResult<String> {
+    let parts: Vec<String> = arguments
+        .iter()
+        .map(|(name, value)| Ok(format!("{name}={}", value.repr()?)))
+        .collect::<PyResult<_>>()?;
+    Ok(parts.join(", "))
 }

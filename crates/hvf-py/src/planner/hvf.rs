@@ -10,11 +10,11 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use super::arguments::seeds;
+use super::arguments::{keywords, one_frame, seeds};
 use super::border::{with_border, Axes, Border, FramesOf, Generator};
-use super::budget::{best_name, covariance_name, shrinkage, Budget, SHRINKAGE};
+use super::budget::{budget_doc, budget_getters, Budget, SHRINKAGE};
 use super::results::{PyPlans, PySearchResult};
-use super::visual_mpc::{keywords, one_frame, PyVisualMpc};
+use super::visual_mpc::PyVisualMpc;
 use super::{raised, signals};
 use crate::arguments::{
     check_problems, instance, text, wrong_type, Flag, Given, Real, Text, Whole,
@@ -24,10 +24,33 @@ use crate::threads::detached;
 
 /// Hierarchical visual foresight: the search for subgoal images.
 ///
-/// The cross-entropy method over the latents of `subgoals` images, where a sample costs what the
-/// hardest of its `subgoals + 1` segments costs to plan with `mpc` (paper, section 4). Immutable;
-/// arguments out of range raise a ValueError that names them. The stub file describes every
-/// argument.
+/// The cross-entropy method over the latents of `subgoals` images, from a standard normal. A
+/// sample costs what the hardest of its `subgoals + 1` segments costs to plan with `mpc` (paper,
+/// section 4 and algorithm 2). Subgoals, latents, cost and plans of the answer are of one sample;
+/// how segments are planned is for the options of `mpc` to say. Objects are immutable, compare and
+/// hash by value, and can be copied and pickled.
+///
+/// Args:
+///     mpc: How a segment is planned; None for `VisualMPC()`.
+///     subgoals: Number of subgoals (`K`); 0 plans to the goal directly.
+///     reduction: Cost of a sample from those of its segments: 'max' or 'mean'.
+///     prune: Plan the segment of a sample first that a few candidates take for its hardest, drop
+///         samples whose worst segment exceeds the `elites`-th best complete sample, and plan
+///         other segments only until they are known to be no harder. Changes nothing but the time,
+///         and what `population_mean` is over. Only with 'max'.
+///     share_rollouts: Share the first iteration's rollouts of all first segments where the model
+///         can (`shared_rollout_costs`). Changes nothing but the time.
+///     chunk: Samples that pruning completes at a time, before it looks what is still worth
+///         completing; None for as many as `elites`. Larger ones make fewer, fuller calls. Changes
+///         nothing but the time.
+///     segment_cost: Who says what a segment costs: 'planned', the planner, by the predicted cost
+///         of its best plan (the paper's), or 'likelihood', the generator, by its `segment_costs`
+///         and without a plan.
+#[doc = budget_doc!()]
+///
+/// Raises:
+///     ValueError: An argument is out of range; the message names it.
+///     TypeError: An argument has the wrong type.
 #[pyclass(name = "HVF", module = "hvf_core", frozen, eq, hash)]
 #[derive(Clone, PartialEq, Hash)]
 pub struct PyHvf {
@@ -126,17 +149,25 @@ impl PyHvf {
         Ok(Self { config })
     }
 
-    /// Subgoals between `start` and `goal`: a `SearchResult`.
+    /// Search for subgoals between `start` and `goal`.
     ///
-    /// `model`, `start`, `goal` and `seed` are as for `VisualMPC.plan`; `generator` is any object with
-    /// the methods of `hvf.protocols.SubgoalModel` (None will do for `subgoals=0`). The result does not
-    /// depend on the number of threads, nor on `prune` and `share_rollouts`. With
-    /// `segment_cost='likelihood'` only the segments of the answer are planned.
+    /// Args:
+    ///     model: The world, as for `VisualMPC.plan`.
+    ///     generator: An object with the methods of `hvf.protocols.SubgoalModel`; may be None for
+    ///         `subgoals=0`.
+    ///     start: One uint8 image `[height, width, 3]` or one frame of the model, `[1]`.
+    ///     goal: The same for the goal.
+    ///     seed: From 0 to 2**64 - 1. The same seed gives the same result to the last bit, with any
+    ///         number of threads, and with `prune` and `share_rollouts` on or off.
+    ///     progress: Called as `progress(iteration, iterations, cost)` after every iteration, the
+    ///         first being 1, of at most `iterations`, with the lowest cost so far (of the last
+    ///         iteration for `best='last'`). What it raises ends the search.
     ///
-    /// `progress(iteration, iterations, cost)` is called after every iteration, from 1, of at most
-    /// `iterations`, with the lowest cost so far. An exception that ends a search after its first
-    /// iteration (KeyboardInterrupt, or any of `progress`) has what was found until then as
-    /// `exception.partial`: a `SearchResult`.
+    /// Raises:
+    ///     As `VisualMPC.plan`. An exception that ends a search after its first iteration
+    ///     (KeyboardInterrupt by Ctrl-C, or any of `progress` or a model) has an attribute
+    ///     `partial`: the `SearchResult` that the search would have given after its last finished
+    ///     iteration (by 'likelihood', without plans).
     #[pyo3(
         signature = (model, generator, start, goal, seed=Given::of(0), progress=None),
         text_signature = "($self, model, generator, start, goal, seed=0, progress=None)"
@@ -159,9 +190,21 @@ impl PyHvf {
         })
     }
 
-    /// A list of `B` results, each what `search` finds alone. The searches go on side by side: a
-    /// model whose frames can be joined (`hvf.protocols.Frames`) plans the segments of all of them
-    /// in the same calls. `starts`, `goals` and `seeds` are as for `VisualMPC.plan_batch`.
+    /// Search for `B` pairs of start and goal: each result is what `search` finds alone.
+    ///
+    /// The searches go on side by side: a model whose frames can be joined (`hvf.protocols.Frames`)
+    /// plans the segments of all of them in the same calls.
+    ///
+    /// Args:
+    ///     model: As for `search`.
+    ///     generator: As for `search`.
+    ///     starts: Uint8 images `[B, height, width, 3]` or frames of the model, `[B]`; or one,
+    ///         `[1, ...]`, for all goals.
+    ///     goals: Images or frames, `[B]`.
+    ///     seeds: One seed for all, one for each `[B]`, or None for 0.
+    ///
+    /// Raises:
+    ///     As `search`.
     #[pyo3(signature = (model, generator, starts, goals, seeds=None))]
     fn search_batch(
         &self,
@@ -195,14 +238,17 @@ impl PyHvf {
         })
     }
 
+    /// The argument of this name.
     #[getter]
     fn mpc(&self) -> PyVisualMpc {
         PyVisualMpc { config: self.config.mpc.clone() }
     }
+    /// The argument of this name.
     #[getter]
     fn subgoals(&self) -> usize {
         self.config.subgoals
     }
+    /// The argument of this name.
     #[getter]
     fn reduction(&self) -> &'static str {
         match self.config.reduction {
@@ -210,18 +256,22 @@ impl PyHvf {
             Reduction::Mean => "mean",
         }
     }
+    /// The argument of this name.
     #[getter]
     fn prune(&self) -> bool {
         self.config.prune
     }
+    /// The argument of this name.
     #[getter]
     fn share_rollouts(&self) -> bool {
         self.config.share_rollouts
     }
+    /// The argument of this name.
     #[getter]
     fn chunk(&self) -> Option<usize> {
         self.config.chunk
     }
+    /// The argument of this name.
     #[getter]
     fn segment_cost(&self) -> &'static str {
         match self.config.segment_cost {
@@ -229,55 +279,6 @@ impl PyHvf {
             SegmentCost::Likelihood => "likelihood",
         }
     }
-    #[getter]
-    fn samples(&self) -> usize {
-        self.config.cem.samples
-    }
-    #[getter]
-    fn elites(&self) -> usize {
-        self.config.cem.elites
-    }
-    #[getter]
-    fn iterations(&self) -> usize {
-        self.config.cem.iterations
-    }
-    #[getter]
-    fn min_variance(&self) -> f64 {
-        self.config.cem.min_variance
-    }
-    #[getter]
-    fn keep_elites(&self) -> usize {
-        self.config.cem.keep_elites
-    }
-    #[getter]
-    fn best(&self) -> &'static str {
-        best_name(&self.config.cem)
-    }
-    #[getter]
-    fn momentum(&self) -> f64 {
-        self.config.cem.momentum
-    }
-    #[getter]
-    fn samples_decay(&self) -> f64 {
-        self.config.cem.samples_decay
-    }
-    #[getter]
-    fn temperature(&self) -> Option<f64> {
-        self.config.cem.temperature
-    }
-    #[getter]
-    fn min_std(&self) -> f64 {
-        self.config.cem.min_std
-    }
-    #[getter]
-    fn covariance(&self) -> &'static str {
-        covariance_name(&self.config.cem)
-    }
-    #[getter]
-    fn shrinkage(&self) -> f64 {
-        shrinkage(&self.config.cem)
-    }
-
     /// The arguments that make an equal object, for copies and pickles.
     fn __getnewargs_ex__<'py>(
         slf: &Bound<'py, Self>,
@@ -314,6 +315,8 @@ impl PyHvf {
         Ok(format!("HVF({})", keywords(&arguments)?))
     }
 }
+
+budget_getters!(PyHvf);
 
 impl PyHvf {
     /// Searches without the GIL; the models take it where they need it.

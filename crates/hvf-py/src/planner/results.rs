@@ -43,8 +43,9 @@ impl PyPlan {
         self.inner.cost
     }
 
-    /// Best candidates of the last iteration, best first, float32 `[S, H, A]` with `S` the planner's
-    /// `shift_elites`: what a next plan with this `warm_start` begins with.
+    /// Best candidates of the last iteration, best first, float32 `[S, H, A]`.
+    ///
+    /// `S` is the planner's `shift_elites`. A next plan with this `warm_start` begins with them.
     #[getter]
     fn elites<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f32>> {
         self.inner.elites.clone().into_pyarray(py)
@@ -57,6 +58,9 @@ impl PyPlan {
     }
 
     /// Costs of every iteration by name, float32 `[I]` each.
+    ///
+    /// `best`, `elite_mean` and `elite_worst` of the elites, `population_mean` of all finite costs,
+    /// and `max_std`, the largest deviation of the refitted Gaussian.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let columns = PyDict::new(py);
@@ -77,7 +81,7 @@ impl PyPlan {
     }
 }
 
-/// The best actions found for every problem of a batch.
+/// The best actions found for every problem of a batch; `plans[b]` is a `Plan`.
 #[pyclass(name = "Plans", module = "hvf_core", frozen)]
 pub struct PyPlans {
     /// The plans; none of a search by likelihood that was interrupted.
@@ -118,7 +122,7 @@ impl PyPlans {
         self.stacked_actions().into_pyarray(py)
     }
 
-    /// As of `Plan`, float32 `[B, S, H, A]`.
+    /// As `Plan.elites`, float32 `[B, S, H, A]`.
     #[getter]
     fn elites<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray4<f32>> {
         self.stacked_elites().into_pyarray(py)
@@ -138,7 +142,7 @@ impl PyPlans {
         runs.into_pyarray(py)
     }
 
-    /// As of `Plan`, float32 `[B, I]` each; NaN after a problem was done.
+    /// As `Plan.history`, float32 `[B, I]` each; NaN after a problem was done.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let longest = self.inner.iter().map(|plan| plan.history.len()).max().unwrap_or(0);
@@ -176,13 +180,13 @@ impl PyPlans {
 /// What the subgoal search found.
 #[pyclass(name = "SearchResult", module = "hvf_core", frozen)]
 pub struct PySearchResult {
-    /// Subgoals in the frames of the world model.
+    /// Subgoals in the order to reach them: frames of the model, `[K]`.
     #[pyo3(get)]
     pub subgoals: Py<PyAny>,
-    /// Cost of the segments together.
+    /// Cost of the segments together: the maximum (or mean) of `segment_costs`.
     #[pyo3(get)]
     pub cost: f32,
-    /// Best plan of every segment.
+    /// Best plan of every segment, `K + 1`.
     #[pyo3(get)]
     pub plans: Py<PyPlans>,
     /// Latents of the subgoals, `[K, L]`.
@@ -211,8 +215,11 @@ impl PySearchResult {
         self.history.len()
     }
 
-    /// Figures of every iteration by name, `[I]` each: those of `Plan.history` over the samples
-    /// (the population is those completed), and the problems `evaluated` and `skipped`.
+    /// Figures of every iteration by name, `[I]` each.
+    ///
+    /// Those of `Plan.history` over the samples (`population_mean`: the completed ones), and the
+    /// planning problems `evaluated` (to their end, or until it was clear that they are not their
+    /// sample's hardest) and `skipped`, int64.
     #[getter]
     fn history<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let columns = PyDict::new(py);

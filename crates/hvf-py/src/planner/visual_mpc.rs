@@ -7,9 +7,11 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use super::arguments::{corner, one_warm_start, seeds, warm_starts, LastPlans};
+use super::arguments::{
+    corner, keywords, one_frame, one_warm_start, seeds, warm_starts, LastPlans,
+};
 use super::border::{with_border, Axes, Border, FramesOf};
-use super::budget::{best_name, covariance_name, shrinkage, Budget, SHRINKAGE};
+use super::budget::{budget_doc, budget_getters, Budget, SHRINKAGE};
 use super::results::{PyPlan, PyPlans};
 use super::signals;
 use crate::arguments::{check_problems, text, Flag, Given, Real, Text, Whole};
@@ -20,9 +22,38 @@ use crate::threads::detached;
 ///
 /// Draws `samples` candidates of `horizon` steps, keeps the `elites` with the lowest predicted
 /// cost and refits a diagonal Gaussian to them, until its largest variance falls below
-/// `min_variance` or `iterations` are used up (paper, section 3). Options make it iCEM, MPPI or a
-/// search with full covariance. Immutable; arguments out of
-/// range raise a ValueError that names them. The stub file describes every argument.
+/// `min_variance` or `iterations` are used up (paper, section 3 and algorithm 1). Options make it
+/// iCEM, MPPI or a search with full covariance. Objects are immutable, compare and hash by value,
+/// and can be copied and pickled.
+///
+/// Args:
+///     horizon: Model steps that a plan looks ahead (`H`).
+///     action_repeat: Model steps that one drawn action is held for; divides `horizon`.
+///     initial: First iteration's distribution: 'uniform' over the action box, or 'normal' (the
+///         paper's has mean 0 and deviation 1).
+///     initial_low: Lower corner of a part of the action box, `[A]`, for 'uniform'; None for the
+///         box's own.
+///     initial_high: Upper corner, `[A]`. The original maze code drew `x >= 0` only, a hint that
+///         the goal is to the right.
+///     initial_mean: Mean of 'normal', in units of an action.
+///     initial_std: Standard deviation of 'normal'.
+///     warm_start_std: Standard deviation around a warm start, in units of an action.
+///     clip: Whether candidates drawn from a Gaussian (a refitted one, 'normal', around a warm
+///         start) are clipped to the action box. The authors' released code does not: plans may
+///         then lie beyond the box, and what a model makes of such actions is its own affair
+///         (`MazeWorld` clips them, learned worlds extrapolate).
+///     noise_beta: How fast the power of the noise of drawn actions falls with its frequency over
+///         the time steps of a plan, `f**-noise_beta`: 0 for white noise, 2 for iCEM's (Pinneri
+///         et al., 2020). Single actions are distributed as without. For at most 256 actions a
+///         plan, and 'diagonal'.
+///     shift_elites: Best candidates of its last iteration that a plan keeps; in a next plan with
+///         this as `warm_start` they take the place of as many samples of the first iteration,
+///         shifted by one step (iCEM). At most `elites`.
+#[doc = budget_doc!()]
+///
+/// Raises:
+///     ValueError: An argument is out of range; the message names it.
+///     TypeError: An argument has the wrong type.
 #[pyclass(name = "VisualMPC", module = "hvf_core", frozen, eq, hash)]
 #[derive(Clone, PartialEq, Hash)]
 pub struct PyVisualMpc {
@@ -125,16 +156,31 @@ impl PyVisualMpc {
         Ok(Self { config })
     }
 
-    /// Actions that lead from `start` to `goal`: a `Plan`.
+    /// Find actions that lead from `start` to `goal`.
     ///
-    /// `model` is a native world, an object whose `native` is one, or any object with the methods of
-    /// `hvf.protocols.WorldModel`. `start` and `goal` are each one uint8 image [H, W, 3] or one frame of
-    /// the model. The same seed gives the same plan to the last bit. `warm_start` is the last plan
-    /// (a `Plan` or actions [H, A]), as it was before its first action was taken, and `warm_elites` its
-    /// best candidates [S, H, A], unless it brings them.
+    /// Args:
+    ///     model: A world of this module, an object whose `native` is one, or any object with the
+    ///         methods of `hvf.protocols.WorldModel`. Costs of its own that `native` would hide
+    ///         are refused; see there.
+    ///     start: One uint8 image `[height, width, 3]` (which goes through the model's `observe`,
+    ///         if it has one) or one frame of the model, `[1]`.
+    ///     goal: The same for the goal.
+    ///     seed: From 0 to 2**64 - 1. The same seed gives the same plan to the last bit, with any
+    ///         number of threads, alone or in a batch.
+    ///     warm_start: The last plan, as it was before its first action was taken: the search
+    ///         starts from a Gaussian around the rest of it. A `Plan` or float actions `[H, A]`.
+    ///     warm_elites: The best candidates of that plan, as they were before its first action was
+    ///         taken, float `[S, H, A]` with `S` at most `shift_elites`; None for those that a
+    ///         `Plan` brings.
     ///
-    /// Raises ValueError or TypeError naming the argument, or the model's method, that does not fit;
-    /// what the model raises comes back as it is.
+    /// Raises:
+    ///     ValueError: An argument does not fit, or the model answered with the wrong shape or with
+    ///         NaN only; the message names the argument or the model's method.
+    ///     TypeError: An argument is of the wrong kind, or the model lacks a method.
+    ///     KeyboardInterrupt: Ctrl-C: within a second of native work, else between two calls of
+    ///         the model. What a model raises comes back as it is.
+    ///     RuntimeError: This process was forked after the module had worked in its parent, whose
+    ///         threads it lacks; start processes by 'spawn' or 'forkserver'.
     #[pyo3(
         signature = (model, start, goal, seed=Given::of(0), warm_start=None, warm_elites=None),
         text_signature = "($self, model, start, goal, seed=0, warm_start=None, warm_elites=None)"
@@ -159,10 +205,20 @@ impl PyVisualMpc {
         Ok(PyPlan { inner })
     }
 
-    /// `B` problems solved together, to the last bit as by `plan` one by one: `Plans`.
+    /// Solve `B` problems together: as `plan` one by one, to the last bit.
     ///
-    /// `starts` and `goals` are uint8 images [B, H, W, 3] or frames of the model; one start serves all
-    /// goals. `seeds` is one for all, one for each, or None for 0.
+    /// Args:
+    ///     model: As for `plan`.
+    ///     starts: Uint8 images `[B, height, width, 3]` or frames of the model, `[B]`, at most
+    ///         2**20; or one, `[1, ...]`, for all goals. Three axes are never one image here.
+    ///     goals: Images or frames, `[B]`.
+    ///     seeds: One seed for all, one for each `[B]`, or None for 0. Problems with one start and
+    ///         one seed share their first iteration's rollouts where the model can.
+    ///     warm_start: The last plans: `Plans` or float actions `[B, H, A]`.
+    ///     warm_elites: Their best candidates, float `[B, S, H, A]`, unless `Plans` bring them.
+    ///
+    /// Raises:
+    ///     As `plan`.
     #[pyo3(signature = (model, starts, goals, seeds=None, warm_start=None, warm_elites=None))]
     fn plan_batch(
         &self,
@@ -184,30 +240,37 @@ impl PyVisualMpc {
         Ok(PyPlans { inner })
     }
 
+    /// The argument of this name.
     #[getter]
     fn horizon(&self) -> usize {
         self.config.horizon
     }
+    /// The argument of this name.
     #[getter]
     fn action_repeat(&self) -> usize {
         self.config.action_repeat
     }
+    /// The argument of this name.
     #[getter]
     fn warm_start_std(&self) -> f64 {
         self.config.warm_start_std
     }
+    /// The argument of this name.
     #[getter]
     fn clip(&self) -> bool {
         self.config.clip
     }
+    /// The argument of this name.
     #[getter]
     fn noise_beta(&self) -> f64 {
         self.config.noise_beta
     }
+    /// The argument of this name.
     #[getter]
     fn shift_elites(&self) -> usize {
         self.config.shift_elites
     }
+    /// The argument of this name.
     #[getter]
     fn initial(&self) -> &'static str {
         match self.config.initial {
@@ -215,6 +278,7 @@ impl PyVisualMpc {
             ActionInitial::Normal { .. } => "normal",
         }
     }
+    /// The argument of this name; None for the box's own and for 'normal'.
     #[getter]
     fn initial_low(&self) -> Option<Vec<f64>> {
         match &self.config.initial {
@@ -222,6 +286,7 @@ impl PyVisualMpc {
             ActionInitial::Normal { .. } => None,
         }
     }
+    /// The argument of this name; None for the box's own and for 'normal'.
     #[getter]
     fn initial_high(&self) -> Option<Vec<f64>> {
         match &self.config.initial {
@@ -229,6 +294,7 @@ impl PyVisualMpc {
             ActionInitial::Normal { .. } => None,
         }
     }
+    /// The argument of this name; 0 for 'uniform'.
     #[getter]
     fn initial_mean(&self) -> f64 {
         match self.config.initial {
@@ -236,6 +302,7 @@ impl PyVisualMpc {
             ActionInitial::Normal { mean, .. } => mean,
         }
     }
+    /// The argument of this name; 1 for 'uniform'.
     #[getter]
     fn initial_std(&self) -> f64 {
         match self.config.initial {
@@ -243,55 +310,6 @@ impl PyVisualMpc {
             ActionInitial::Normal { std, .. } => std,
         }
     }
-    #[getter]
-    fn samples(&self) -> usize {
-        self.config.cem.samples
-    }
-    #[getter]
-    fn elites(&self) -> usize {
-        self.config.cem.elites
-    }
-    #[getter]
-    fn iterations(&self) -> usize {
-        self.config.cem.iterations
-    }
-    #[getter]
-    fn min_variance(&self) -> f64 {
-        self.config.cem.min_variance
-    }
-    #[getter]
-    fn keep_elites(&self) -> usize {
-        self.config.cem.keep_elites
-    }
-    #[getter]
-    fn best(&self) -> &'static str {
-        best_name(&self.config.cem)
-    }
-    #[getter]
-    fn momentum(&self) -> f64 {
-        self.config.cem.momentum
-    }
-    #[getter]
-    fn samples_decay(&self) -> f64 {
-        self.config.cem.samples_decay
-    }
-    #[getter]
-    fn temperature(&self) -> Option<f64> {
-        self.config.cem.temperature
-    }
-    #[getter]
-    fn min_std(&self) -> f64 {
-        self.config.cem.min_std
-    }
-    #[getter]
-    fn covariance(&self) -> &'static str {
-        covariance_name(&self.config.cem)
-    }
-    #[getter]
-    fn shrinkage(&self) -> f64 {
-        shrinkage(&self.config.cem)
-    }
-
     /// The arguments that make an equal object, for copies and pickles.
     fn __getnewargs_ex__<'py>(
         slf: &Bound<'py, Self>,
@@ -333,6 +351,8 @@ impl PyVisualMpc {
     }
 }
 
+budget_getters!(PyVisualMpc);
+
 impl PyVisualMpc {
     /// Plans without the GIL; the model takes it where it needs it.
     fn solve<B: Border>(
@@ -367,29 +387,4 @@ impl PyVisualMpc {
         })?;
         solved.map_err(|error| border.error(py, error))
     }
-}
-
-/// One frame, named in the error if it is more or fewer.
-pub fn one_frame<B: Border>(
-    border: &B,
-    argument: &str,
-    object: &Bound<'_, PyAny>,
-) -> PyResult<FramesOf<B>> {
-    let frames = border.read(argument, object, Axes::OneOrBatch)?;
-    match frames.len() {
-        1 => Ok(frames),
-        count => Err(PyValueError::new_err(format!(
-            "{argument}: must be one uint8 image [H, W, 3] or one frame of the model, got {count} \
-             frames"
-        ))),
-    }
-}
-
-/// `name=value, ..` of a dictionary.
-pub fn keywords(arguments: &Bound<'_, PyDict>) -> PyResult<String> {
-    let parts: Vec<String> = arguments
-        .iter()
-        .map(|(name, value)| Ok(format!("{name}={}", value.repr()?)))
-        .collect::<PyResult<_>>()?;
-    Ok(parts.join(", "))
 }
