@@ -105,6 +105,20 @@ def test_choices_at_the_desk_differ_in_what_counts_only() -> None:
             assert differences(cell, default).keys() <= {"scene_weight", "reduction"}
 
 
+def test_rows_of_video_models_differ_in_method_and_budget_only() -> None:
+    (table,) = tables(Setup("desk", split="validation"), ["video"])
+    for column, (task, count) in enumerate((("door_block", 1), ("door_two_block", 2))):
+        preset = Evaluation.of("desk", "video", task=task, subgoals=count)
+        cells = [row[column].evaluation for row in table.rows.values()]
+        assert len(set(cells)) == len(cells) == 5
+        assert preset in cells
+        for cell in cells:
+            assert cell is not None
+            assert cell.task == task
+            assert cell.world_names["dynamics"] == "latent"
+            assert differences(cell, preset).keys() <= {"samples", "elites", "iterations"}
+
+
 @pytest.mark.parametrize("preset", ["paper", "released", "default"])
 def test_cells_of_several_tables_are_evaluated_once(preset: str) -> None:
     setup = Setup("maze", preset)

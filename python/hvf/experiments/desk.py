@@ -35,6 +35,7 @@ def desk(setup: Setup) -> list[PaperTable]:
     return [
         *_published(setup),
         _choices(setup),
+        _video(setup),
         *judging(setup, _WAYS, _published, _claims()),
     ]
 
@@ -86,6 +87,41 @@ def _choices(setup: Setup) -> PaperTable:
         "What counts, in acting and in the search for subgoals",
         "choice",
         tuple(f"{task}, K = {count}" for task, count in _CHOSEN.items()),
+        rows,
+        extra=True,
+    )
+
+
+_WIDE: Mapping[str, Any] = {"samples": 1000, "elites": 40, "iterations": 5}
+
+_BUDGETS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "no subgoals": ("none", {}),
+    "HVF": ("hvf", {}),
+    "true subgoals": ("ground-truth", {}),
+    "no subgoals, D = 1000, 5 iterations": ("none", _WIDE),
+    "true subgoals, D = 1000, 5 iterations": ("ground-truth", _WIDE),
+}
+
+
+def _video(setup: Setup) -> PaperTable:
+    """Video models throughout: what true subgoals, and more candidates, are worth."""
+    tasks = {task: count for task, count in _CHOSEN.items() if task != "two_block"}
+    rows = {
+        name: tuple(
+            Cell(
+                setup.evaluation(
+                    method, count * (method != "none"), preset="video", task=task, **settings
+                )
+            )
+            for task, count in tasks.items()
+        )
+        for name, (method, settings) in _BUDGETS.items()
+    }
+    return PaperTable(
+        "video",
+        "Video models throughout, and the budget of the search for actions",
+        "method",
+        tuple(f"{task}, K = {count}" for task, count in tasks.items()),
         rows,
         extra=True,
     )
