@@ -1,4 +1,4 @@
-//! Arrays: either NumPy's own memory of one dtype ([`array`]) or a copy of whatever
+//! Arrays: either NumPy's own memory of one dtype ([`array()`]) or a copy of whatever
 //! `numpy.asarray` makes numbers of ([`numbers`]).
 
 use ndarray::{Array, ArrayView, Dimension, Ix1};
