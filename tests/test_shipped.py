@@ -72,3 +72,13 @@ def test_the_door_is_mostly_closed(tmp_path: Path) -> None:
     report = evaluate(evaluation, 6, tmp_path / "door.json", console=QUIET)
     # 97% of 100 test episodes.
     assert report.successes >= 4
+
+
+@pytest.mark.slow
+def test_video_models_mostly_close_the_door(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    evaluation = Evaluation.of("desk", "video", method="none", task="door")
+    report = evaluate(evaluation, 6, tmp_path / "door.json", console=QUIET)
+    # 98% of 50 test episodes.
+    assert report.successes >= 4
+    assert report.kind == "video"
