@@ -20,6 +20,9 @@ from hvf.threads import one_thread
 from hvf.worlds.world import Around, checked_images
 
 _IMAGES_AT_ONCE = 512
+# Drawing takes a few numbers a pixel: so many images stay in the caches, and in memory that is
+# there already.
+_IMAGES_IN_CACHE = 32
 
 
 class KeypointWorld(Around):
@@ -150,9 +153,15 @@ class KeypointSubgoals:
             code = self.generator.code(torch.from_numpy(scene.maps))
             flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
             keypoints = self.generator.decode(flat, code.expand(count, -1))
-            start = to_unit(torch.from_numpy(scene.images))
-            images = dynamics.draw(start, torch.from_numpy(scene.keypoints), keypoints)
-        return scene.moved(to_frames(images).numpy(), keypoints.numpy())
+            start, before = (
+                to_unit(torch.from_numpy(scene.images)),
+                torch.from_numpy(scene.keypoints),
+            )
+            images = [
+                to_frames(dynamics.draw(start, before, some)).numpy()
+                for some in keypoints.split(_IMAGES_IN_CACHE)
+            ]
+        return scene.moved(np.concatenate(images), keypoints.numpy())
 
 
 def world_of(dynamics: KeypointDynamics, planning: Planning) -> KeypointWorld:
