@@ -159,7 +159,7 @@ class KeypointSubgoals:
             )
             images = [
                 to_frames(dynamics.draw(start, before, some)).numpy()
-                for some in keypoints.split(_IMAGES_IN_CACHE)
+                for some in torch.split(keypoints, _IMAGES_IN_CACHE)
             ]
         return scene.moved(np.concatenate(images), keypoints.numpy())
 
