@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -75,21 +76,28 @@ def _claims() -> list[Claim]:
 
 def _choices(setup: Setup) -> PaperTable:
     """What a frame costs in acting, and how segments are reduced in the search."""
+    title = "What counts, in acting and in the search for subgoals"
+    return _of_tasks(setup, "choices", title, "choice", _CHOSEN, _CHOICES)
+
+
+def _of_tasks(
+    setup: Setup,
+    name: str,
+    title: str,
+    heading: str,
+    tasks: Mapping[str, int],
+    choices: Mapping[str, tuple[str, Mapping[str, Any]]],
+) -> PaperTable:
+    """A table of our own: methods and their settings by task, with its number of subgoals."""
     rows = {
-        name: tuple(
+        choice: tuple(
             Cell(setup.evaluation(method, 0 if method == "none" else count, task=task, **settings))
-            for task, count in _CHOSEN.items()
+            for task, count in tasks.items()
         )
-        for name, (method, settings) in _CHOICES.items()
+        for choice, (method, settings) in choices.items()
     }
-    return PaperTable(
-        "choices",
-        "What counts, in acting and in the search for subgoals",
-        "choice",
-        tuple(f"{task}, K = {count}" for task, count in _CHOSEN.items()),
-        rows,
-        extra=True,
-    )
+    columns = tuple(f"{task}, K = {count}" for task, count in tasks.items())
+    return PaperTable(name, title, heading, columns, rows, extra=True)
 
 
 _WIDE: Mapping[str, Any] = {"samples": 1000, "elites": 40, "iterations": 5}
@@ -106,22 +114,6 @@ _BUDGETS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
 def _video(setup: Setup) -> PaperTable:
     """Video models throughout: what true subgoals, and more candidates, are worth."""
     tasks = {task: count for task, count in _CHOSEN.items() if task != "two_block"}
-    rows = {
-        name: tuple(
-            Cell(
-                setup.evaluation(
-                    method, count * (method != "none"), preset="video", task=task, **settings
-                )
-            )
-            for task, count in tasks.items()
-        )
-        for name, (method, settings) in _BUDGETS.items()
-    }
-    return PaperTable(
-        "video",
-        "Video models throughout, and the budget of the search for actions",
-        "method",
-        tuple(f"{task}, K = {count}" for task, count in tasks.items()),
-        rows,
-        extra=True,
-    )
+    title = "Video models throughout, and the budget of the search for actions"
+    with_preset = dataclasses.replace(setup, preset="video")
+    return _of_tasks(with_preset, "video", title, "method", tasks, _BUDGETS)

@@ -66,12 +66,12 @@ pub trait Objective {
         None
     }
 
-    /// Told after every iteration how the problems stand that took part in it, in order of their
-    /// numbers.
+    /// Told after every iteration how the problems stand that took part in it: their numbers,
+    /// ascending, and what was found for each.
     ///
     /// # Errors
     /// Any ends the optimisation.
-    fn iterated(&mut self, _solutions: &[&Solution]) -> Result<()> {
+    fn iterated(&mut self, _problems: &[usize], _solutions: &[&Solution]) -> Result<()> {
         Ok(())
     }
 
@@ -168,7 +168,8 @@ pub fn minimise<O: Objective>(
                 .for_each(|(state, costs)| state.update(&sampling, iteration, costs));
         }
         let solutions: Vec<&Solution> = active.iter().map(|state| &state.solution).collect();
-        objective.iterated(&solutions)?;
+        let problems: Vec<usize> = active.iter().map(|state| state.number).collect();
+        objective.iterated(&problems, &solutions)?;
         active.retain(|state| {
             let enough = objective.enough(state.number);
             !state.converged(config) && enough.is_none_or(|cost| state.solution.cost > cost)

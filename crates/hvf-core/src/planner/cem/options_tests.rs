@@ -23,7 +23,7 @@ impl Objective for Valley {
         Ok(costs)
     }
 
-    fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
+    fn iterated(&mut self, _: &[usize], solutions: &[&Solution]) -> Result<()> {
         self.told.push(solutions.iter().map(|&solution| solution.clone()).collect());
         Ok(())
     }

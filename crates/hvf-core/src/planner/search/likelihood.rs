@@ -7,7 +7,7 @@
 
 use ndarray::{Array2, Array3, Axis};
 
-use super::{decoded, latents_of, Ends, HvfConfig, SearchResult, SearchStats, Watch};
+use super::{decoded, latents_in, latents_of, Ends, HvfConfig, SearchResult, SearchStats, Watch};
 use crate::planner::cem::{Call, Objective, Solution};
 use crate::planner::model::{Frames, SubgoalModel};
 use crate::{Error, Result};
@@ -22,8 +22,6 @@ pub(super) struct Likelihoods<'a, F, G> {
     latent_dim: usize,
     /// How the optimisation of each search stood after its last iteration.
     latest: Vec<Option<Solution>>,
-    /// Searches that take part in this iteration.
-    active: Vec<usize>,
 }
 
 impl<'a, F: Frames, G: SubgoalModel<F>> Likelihoods<'a, F, G> {
@@ -35,7 +33,7 @@ impl<'a, F: Frames, G: SubgoalModel<F>> Likelihoods<'a, F, G> {
     ) -> Self {
         let latest = vec![None; ends.len()];
         let latent_dim = generator.latent_dim();
-        Self { config, generator, ends, watch, latent_dim, latest, active: Vec::new() }
+        Self { config, generator, ends, watch, latent_dim, latest }
     }
 
     /// What each search answers with as it stands, but for the plans; nothing before the first
@@ -68,10 +66,7 @@ impl<F: Frames, G: SubgoalModel<F>> Objective for Likelihoods<'_, F, G> {
         for (latents, &episode) in candidates.axis_iter(Axis(0)).zip(call.problems) {
             (self.watch.interrupt)()?;
             let Ends { start, goal, .. } = &self.ends[episode];
-            let latents = latents
-                .to_shape((count, subgoals, self.latent_dim))
-                .expect("a candidate has K x L values")
-                .into_owned();
+            let latents = latents_in(latents, subgoals, self.latent_dim);
             let segments = self.generator.segment_costs(start, goal, latents)?;
             if segments.dim() != (count, subgoals + 1) {
                 return Err(Error::Model(format!(
@@ -82,12 +77,11 @@ impl<F: Frames, G: SubgoalModel<F>> Objective for Likelihoods<'_, F, G> {
             }
             costs.extend(segments.outer_iter().map(|costs| reduction.of(costs.iter().copied())));
         }
-        self.active.extend_from_slice(call.problems);
         Ok(Array2::from_shape_vec((problems, count), costs).expect("one cost per sample"))
     }
 
-    fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
-        for (search, &solution) in self.active.drain(..).zip(solutions) {
+    fn iterated(&mut self, searches: &[usize], solutions: &[&Solution]) -> Result<()> {
+        for (&search, &solution) in searches.iter().zip(solutions) {
             self.latest[search] = Some(solution.clone());
         }
         self.watch.iterated(solutions, self.config.cem.iterations)

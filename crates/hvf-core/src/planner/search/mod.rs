@@ -16,7 +16,7 @@ mod samples;
 mod segments;
 mod watch;
 
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array2, Array3, ArrayView2, Axis};
 
 use super::cem::distribution::{Bounds, Initial, Space, Start};
 use super::cem::{minimise, IterationStats, Solution};
@@ -213,6 +213,12 @@ fn latents_of(solution: &Solution, subgoals: usize) -> Array2<f32> {
         .expect("a candidate has K x L values")
 }
 
+/// The latents of the samples of one search, `[M, K, L]`, from candidates `[M, K * L]`.
+fn latents_in(candidates: ArrayView2<'_, f32>, subgoals: usize, dim: usize) -> Array3<f32> {
+    let shape = (candidates.nrows(), subgoals, dim);
+    candidates.to_shape(shape).expect("a candidate has K x L values").into_owned()
+}
+
 /// No subgoals: one segment from start to goal.
 fn plan_directly<W: WorldModel>(
     config: &HvfConfig,
@@ -252,7 +258,7 @@ fn plan_along<W: WorldModel>(
     let share_rollouts = config.share_rollouts;
     let planner = Planner { mpc: &config.mpc, world, share_rollouts, interrupt };
     let segments = Segments::new(planner, &ways, config.subgoals, 0, &describe)?;
-    segments.plan(&(0..segments.len()).collect::<Vec<_>>(), None)
+    segments.plan_all()
 }
 
 /// What a generator draws for `latents[M, K, L]`: `M * K` frames, or an error.

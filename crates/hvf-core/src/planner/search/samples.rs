@@ -4,7 +4,9 @@ use ndarray::{Array2, Array3, Axis};
 
 use super::pruning::plan_what_matters;
 use super::segments::{Planner, Segments, Ways};
-use super::{decoded, latents_of, Ends, HvfConfig, Reduction, SearchResult, SearchStats, Watch};
+use super::{
+    decoded, latents_in, latents_of, Ends, HvfConfig, Reduction, SearchResult, SearchStats, Watch,
+};
 use crate::planner::cem::{elites, BestOf, Call, Objective, Solution};
 use crate::planner::model::{Frames, SubgoalModel, WorldModel};
 use crate::planner::mpc::Plan;
@@ -42,8 +44,6 @@ pub(super) struct Samples<'a, W: WorldModel, G> {
     watch: Watch<'a, W::Frames>,
     latent_dim: usize,
     episodes: Vec<Episode<W::Frames>>,
-    /// Episodes that take part in this iteration.
-    active: Vec<usize>,
 }
 
 impl<'a, W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'a, W, G> {
@@ -64,7 +64,6 @@ impl<'a, W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'a, W, G> {
             watch,
             latent_dim: generator.latent_dim(),
             episodes: ends.iter().map(episode).collect(),
-            active: Vec::new(),
         }
     }
 
@@ -92,8 +91,7 @@ impl<'a, W: WorldModel, G: SubgoalModel<W::Frames>> Samples<'a, W, G> {
         if self.config.prune && self.config.reduction == Reduction::Max {
             return plan_what_matters(self.config, segments, call.kept_costs);
         }
-        let all: Vec<usize> = (0..segments.len()).collect();
-        Ok(segments.plan(&all, None)?.into_iter().map(Some).collect())
+        Ok(segments.plan_all()?.into_iter().map(Some).collect())
     }
 
     /// Keeps what belongs to the candidate that the optimisation of an episode would answer with
@@ -154,10 +152,7 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> 
         let mut ways = Vec::with_capacity(problems);
         for (latents, &episode) in candidates.axis_iter(Axis(0)).zip(call.problems) {
             let Ends { start, goal, seed } = &ends[episode];
-            let latents = latents
-                .to_shape((count, subgoals, self.latent_dim))
-                .expect("a candidate has K x L values")
-                .into_owned();
+            let latents = latents_in(latents, subgoals, self.latent_dim);
             let subgoals = decoded(self.generator, start, latents)?;
             ways.push(Ways { start, goal, subgoals, seed: *seed });
         }
@@ -199,12 +194,11 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> 
                 &ways[problem].subgoals,
             )?;
         }
-        self.active.extend_from_slice(call.problems);
         Ok(Array2::from_shape_vec((problems, count), costs).expect("one cost per sample"))
     }
 
-    fn iterated(&mut self, solutions: &[&Solution]) -> Result<()> {
-        for (episode, &solution) in self.active.drain(..).zip(solutions) {
+    fn iterated(&mut self, episodes: &[usize], solutions: &[&Solution]) -> Result<()> {
+        for (&episode, &solution) in episodes.iter().zip(solutions) {
             let Episode { latest, best, better, .. } = &mut self.episodes[episode];
             *latest = Some(solution.clone());
             *best = better.take().or(best.take());

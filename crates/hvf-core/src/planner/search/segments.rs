@@ -144,6 +144,14 @@ impl<'a, W: WorldModel> Segments<'a, W> {
         })
     }
 
+    /// Plans of all segments.
+    ///
+    /// # Errors
+    /// As [`plan`](crate::planner::mpc::plan).
+    pub fn plan_all(&self) -> Result<Vec<Plan>> {
+        self.plan(&(0..self.len()).collect::<Vec<_>>(), None)
+    }
+
     /// Guesses of what all segments cost, which say little more than which one is hard.
     ///
     /// # Errors
