@@ -125,6 +125,8 @@ METHODS: Registry[Method] = Registry(
     {
         "none": "hvf.agents.method:NONE",
         "hvf": "hvf.agents.method:HVF",
+        "hvf-proposals": "hvf.agents.method:HVF_PROPOSALS",
+        "amortised": "hvf.agents.method:AMORTISED",
         "tap": "hvf.agents.method:TAP",
         "ground-truth": "hvf.agents.method:GROUND_TRUTH",
         "rig": "hvf.agents.method:RIG",

@@ -31,7 +31,7 @@ class ModelEntry:
         plannable: makes what the planner wants of a loaded module: ``plannable(module, planning)``
             for dynamics gives a :class:`~hvf.protocols.WorldModel`; ``plannable(module, world)``
             for a generator a :class:`~hvf.protocols.SubgoalModel`; ``plannable(module)`` for
-            proposals an :class:`~hvf.protocols.Amortised`; ``plannable(module, world)`` for a
+            proposals :class:`~hvf.protocols.Proposals`; ``plannable(module, world)`` for a
             distance a
             :class:`~hvf.protocols.WorldModel` around ``world`` (see :mod:`hvf.worlds.costs`);
             ``plannable(module)`` for a proposer a :class:`~hvf.protocols.Proposer`, for a policy

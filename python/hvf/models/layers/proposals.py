@@ -9,7 +9,8 @@ It learns in two steps. First in hindsight: of recorded changes the latents are 
 (:meth:`LayerProposals.hindsight`). Hindsight has no preference, though: three changes in one order
 are as good as in another, and the mean of both is neither. So then the network goes down the
 search's own cost, through the generator, which is differentiable (:meth:`LayerProposals.search`):
-what a search does for one scene and goal, done for all at once.
+what a search does for one scene and goal, done for all at once. The best of a few draws counts, so
+that they may be of several ways to the goal.
 
 Letters in shapes: `N` samples, `K` subgoals, `L` latent dimensions, `X` length of a state
 (:mod:`hvf.models.layers.perception`).
@@ -31,6 +32,8 @@ from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
 _THERE = 0.5
 # Logarithms of the least and largest standard deviation; 1 is that of the prior.
 _LOG_STD = (-4.0, 0.5)
+# Nats from which on a hard segment counts less than in proportion.
+_GENTLE = 30.0
 
 
 @dataclass(frozen=True)
@@ -42,17 +45,23 @@ class ProposalsConfig:
         most: most subgoals.
         hidden: width of the hidden layers.
         depth: hidden layers.
+        draws: draws of which the best counts while the network goes down the search's cost.
+        entropy: weight of their entropy there.
     """
 
     generator: LayerGeneratorConfig = field(default_factory=LayerGeneratorConfig)
     most: int = 2
     hidden: int = 256
     depth: int = 3
+    draws: int = 4
+    entropy: float = 0.25
 
     def __post_init__(self) -> None:
-        for name in ("most", "hidden", "depth"):
+        for name in ("most", "hidden", "depth", "draws"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not 0 <= self.entropy < math.inf:
+            raise ValueError(f"entropy must be finite and not negative, got {self.entropy}")
 
 
 class LayerProposals(nn.Module):
@@ -133,12 +142,15 @@ class LayerProposals(nn.Module):
         """:meth:`hindsight` of a batch with `latents`, else :meth:`search`."""
         if "latents" in batch:
             return self.hindsight(batch["path"], batch["latents"])
-        noise = torch.randn(
-            (len(batch["path"]), int(batch["count"]), self.config.generator.latent_dim),
-            generator=generator,
-            device=batch["path"].device,
-        )
-        return self.search(batch["path"][:, 0], batch["path"][:, -1], noise)
+        start, goal = batch["path"][:, 0], batch["path"][:, -1]
+        draws, shape = self.config.draws, (int(batch["count"]), self.config.generator.latent_dim)
+        noise = torch.randn((draws * len(start), *shape), generator=generator, device=start.device)
+        hardest, entropy = self.search(start.repeat(draws, 1), goal.repeat(draws, 1), noise)
+        best = hardest.reshape(draws, -1).amin(dim=0)
+        # Goals that the generator cannot reach would else drown all others.
+        loss = (_GENTLE * torch.asinh(best / _GENTLE)).mean() - self.config.entropy * entropy.mean()
+        pieces = {"hardest": hardest.median(), "best": best.median(), "entropy": entropy.mean()}
+        return loss, {name: value.detach() for name, value in pieces.items()}
 
     def hindsight(self, path: Tensor, latents: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """Negative log-likelihood of recorded subgoals, nats a subgoal.
@@ -155,37 +167,36 @@ class LayerProposals(nn.Module):
         loss = torch.stack(each).mean() + 0.5 * latents.shape[2] * math.log(2 * math.pi)
         return loss, {"nats": loss.detach()}
 
-    def search(
-        self, scenes: Tensor, goals: Tensor, noise: Tensor
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """What draws cost: their hardest segment, less their entropy, nats.
+    def search(self, scenes: Tensor, goals: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """What draws cost, by their hardest segment, and how spread they are.
 
-        The expectation of the search's objective (`HVF(segment_cost="likelihood")`) under the
-        proposals, by reparametrised draws. With the entropy it is least where the proposals are
-        nearest to latents that are likely as they are cheap, so they do not shrink to a point.
+        The search's objective (`HVF(segment_cost="likelihood")`) of reparametrised draws, with a
+        slope.
+
+        Args:
+            scenes: states `[N, X]`.
+            goals: states `[N, X]`.
+            noise: `[N, K, L]`, as for :meth:`chain`.
+
+        Returns:
+            Nats `[N]`, and sums of log deviations `[N]`.
         """
         (drawn_by,) = self._generator
-        start, cost, spreads = scenes, [], []
+        goal, cost, spreads = self._there(scenes, goals), [], []
         count = noise.shape[1]
         for k in range(count):
             mean, log_std = self(scenes, goals, count - k)
-            drawn = mean + log_std.exp() * noise[:, k]
-            rebuilt = drawn_by.rebuild(drawn, scenes)
+            rebuilt = drawn_by.rebuild(mean + log_std.exp() * noise[:, k], scenes)
             # Whether a part is there and what stays is decided, and has no slope of its own.
             states = rebuilt + (drawn_by.decided(rebuilt, scenes) - rebuilt).detach()
             cost.append(drawn_by.surprise(states, scenes))
             spreads.append(log_std)
             scenes = states
-        cost.append(drawn_by.surprise(self._there(start, goals), scenes))
-        hardest = torch.stack(cost).amax(dim=0)
-        entropy = torch.stack(spreads).sum(dim=(0, 2))
-        # Goals that the generator cannot reach would else drown all others.
-        loss = (_GENTLE * torch.asinh(hardest / _GENTLE) - entropy).mean()
-        pieces = {"hardest": hardest.median(), "entropy": entropy.mean()}
-        return loss, {name: value.detach() for name, value in pieces.items()}
+        cost.append(drawn_by.surprise(goal, scenes))
+        return torch.stack(cost).amax(dim=0), torch.stack(spreads).sum(dim=(0, 2))
 
     def _there(self, scenes: Tensor, goals: Tensor) -> Tensor:
-        """Goals in which a part that is gone lies where the scene has it: its place says nothing."""
+        """Goals in which parts that are gone lie where the scene has them, which says nothing."""
         roaming = self.config.generator.roaming
         was, parts = (each[:, -3 * roaming :].reshape(-1, roaming, 3) for each in (scenes, goals))
         there = parts[..., 2:] > _THERE
@@ -197,7 +208,3 @@ class LayerProposals(nn.Module):
         normal = states / self.scale
         parts = normal[:, -3 * self.config.generator.roaming :] - 0.5
         return torch.cat([normal[:, : -3 * self.config.generator.roaming], parts], dim=1)
-
-
-# Nats from which on a hard segment counts less than in proportion.
-_GENTLE = 30.0
