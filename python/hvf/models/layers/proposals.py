@@ -7,10 +7,9 @@ proposed by one network.
 
 It learns in two steps. First in hindsight: of recorded changes the latents are known
 (:meth:`LayerProposals.hindsight`). Hindsight has no preference, though: three changes in one order
-are as good as in another, and the mean of both is neither. So then the network goes down the
-search's own cost, through the generator, which is differentiable (:meth:`LayerProposals.search`):
-what a search does for one scene and goal, done for all at once. The best of a few draws counts, so
-that they may be of several ways to the goal.
+are as good as in another, and the mean of both is neither. So then the network follows the best of
+what it proposes, by the search's own cost (:meth:`LayerProposals.best`): the cross-entropy method,
+whose distribution is the network's, for all scenes and goals at once.
 
 Letters in shapes: `N` samples, `K` subgoals, `L` latent dimensions, `X` length of a state
 (:mod:`hvf.models.layers.perception`).
@@ -31,9 +30,7 @@ from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
 # Presence from which on a part is there.
 _THERE = 0.5
 # Logarithms of the least and largest standard deviation; 1 is that of the prior.
-_LOG_STD = (-4.0, 0.5)
-# Nats from which on a hard segment counts less than in proportion.
-_GENTLE = 30.0
+_LOG_STD = (-2.0, 0.5)
 
 
 @dataclass(frozen=True)
@@ -45,23 +42,23 @@ class ProposalsConfig:
         most: most subgoals.
         hidden: width of the hidden layers.
         depth: hidden layers.
-        draws: draws of which the best counts while the network goes down the search's cost.
-        entropy: weight of their entropy there.
+        draws: draws for a scene and goal, of which it follows the best.
+        elites: how many these are.
     """
 
     generator: LayerGeneratorConfig = field(default_factory=LayerGeneratorConfig)
     most: int = 2
     hidden: int = 256
     depth: int = 3
-    draws: int = 4
-    entropy: float = 0.25
+    draws: int = 64
+    elites: int = 4
 
     def __post_init__(self) -> None:
-        for name in ("most", "hidden", "depth", "draws"):
+        for name in ("most", "hidden", "depth", "elites"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 <= self.entropy < math.inf:
-            raise ValueError(f"entropy must be finite and not negative, got {self.entropy}")
+        if self.draws < self.elites:
+            raise ValueError(f"draws must be at least elites, {self.elites}; got {self.draws}")
 
 
 class LayerProposals(nn.Module):
@@ -139,18 +136,21 @@ class LayerProposals(nn.Module):
     def loss(
         self, batch: Mapping[str, Tensor], generator: torch.Generator, step: int
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """:meth:`hindsight` of a batch with `latents`, else :meth:`search`."""
+        """:meth:`hindsight` of a batch with `latents`, else of the best that is proposed."""
         if "latents" in batch:
             return self.hindsight(batch["path"], batch["latents"])
-        start, goal = batch["path"][:, 0], batch["path"][:, -1]
-        draws, shape = self.config.draws, (int(batch["count"]), self.config.generator.latent_dim)
-        noise = torch.randn((draws * len(start), *shape), generator=generator, device=start.device)
-        hardest, entropy = self.search(start.repeat(draws, 1), goal.repeat(draws, 1), noise)
-        best = hardest.reshape(draws, -1).amin(dim=0)
-        # Goals that the generator cannot reach would else drown all others.
-        loss = (_GENTLE * torch.asinh(best / _GENTLE)).mean() - self.config.entropy * entropy.mean()
-        pieces = {"hardest": hardest.median(), "best": best.median(), "entropy": entropy.mean()}
-        return loss, {name: value.detach() for name, value in pieces.items()}
+        path = batch["path"]
+        shape = (
+            len(path),
+            self.config.draws,
+            int(batch["count"]),
+            self.config.generator.latent_dim,
+        )
+        noise = torch.randn(shape, generator=generator, device=path.device)
+        with torch.no_grad():
+            passed, latents, costs = self.best(path[:, 0], path[:, -1], noise)
+        loss, pieces = self.hindsight(passed, latents)
+        return loss, {**pieces, "best": costs.median()}
 
     def hindsight(self, path: Tensor, latents: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """Negative log-likelihood of recorded subgoals, nats a subgoal.
@@ -167,33 +167,42 @@ class LayerProposals(nn.Module):
         loss = torch.stack(each).mean() + 0.5 * latents.shape[2] * math.log(2 * math.pi)
         return loss, {"nats": loss.detach()}
 
-    def search(self, scenes: Tensor, goals: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """What draws cost, by their hardest segment, and how spread they are.
-
-        The search's objective (`HVF(segment_cost="likelihood")`) of reparametrised draws, with a
-        slope.
+    def best(self, scenes: Tensor, goals: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The best draws, by their hardest segment (`HVF(segment_cost="likelihood")`).
 
         Args:
             scenes: states `[N, X]`.
             goals: states `[N, X]`.
-            noise: `[N, K, L]`, as for :meth:`chain`.
+            noise: of all draws, `[N, D, K, L]`, as for :meth:`chain`.
 
         Returns:
-            Nats `[N]`, and sums of log deviations `[N]`.
+            Of the `E` best of each: states from start to goal `[N * E, K + 2, X]`, latents
+            `[N * E, K, L]`, costs `[N * E]`, nats.
         """
+        count, draws = noise.shape[:2]
+        starts, ends = (each.repeat_interleave(draws, dim=0) for each in (scenes, goals))
+        path, latents = self._drawn(starts, ends, noise.flatten(0, 1))
+        costs = self.costs(path)
+        order = costs.reshape(count, draws).argsort(dim=1)[:, : self.config.elites]
+        chosen = (order + draws * torch.arange(count, device=order.device)[:, None]).flatten()
+        return path[chosen], latents[chosen], costs[chosen]
+
+    def costs(self, path: Tensor) -> Tensor:
+        """Cost of the hardest segment, nats `[N]`, along states `path [N, K + 2, X]`."""
         (drawn_by,) = self._generator
-        goal, cost, spreads = self._there(scenes, goals), [], []
-        count = noise.shape[1]
-        for k in range(count):
-            mean, log_std = self(scenes, goals, count - k)
-            rebuilt = drawn_by.rebuild(mean + log_std.exp() * noise[:, k], scenes)
-            # Whether a part is there and what stays is decided, and has no slope of its own.
-            states = rebuilt + (drawn_by.decided(rebuilt, scenes) - rebuilt).detach()
-            cost.append(drawn_by.surprise(states, scenes))
-            spreads.append(log_std)
-            scenes = states
-        cost.append(drawn_by.surprise(goal, scenes))
-        return torch.stack(cost).amax(dim=0), torch.stack(spreads).sum(dim=(0, 2))
+        last = self._there(path[:, 0], path[:, -1])
+        ends = [*path[:, 1:-1].unbind(dim=1), last]
+        each = [drawn_by.surprise(end, path[:, k]) for k, end in enumerate(ends)]
+        return torch.stack(each).amax(dim=0)
+
+    def _drawn(self, scenes: Tensor, goals: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """States from start to goal `[N, K + 2, X]`, and latents `[N, K, L]`."""
+        (drawn_by,) = self._generator
+        latents, _ = self.chain(drawn_by, scenes, goals, noise)
+        path = [scenes]
+        for each in latents.unbind(dim=1):
+            path.append(drawn_by.decode(each, path[-1]))
+        return torch.stack([*path, goals], dim=1), latents
 
     def _there(self, scenes: Tensor, goals: Tensor) -> Tensor:
         """Goals in which parts that are gone lie where the scene has them, which says nothing."""

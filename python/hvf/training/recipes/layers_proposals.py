@@ -1,4 +1,4 @@
-"""Training the desk's proposals of subgoals: by recorded changes, then by the search's cost."""
+"""Training the desk's proposals of subgoals: by recorded changes, then by the best proposals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SHARES = (0.05, 0.3, 0.25, 0.4)
 # Changes that lead to a goal beyond the number of subgoals, at most.
 _FAR = 2
 # Scenes and goals that validation measures.
-_MEASURED = 512
+_MEASURED = 128
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -38,8 +38,9 @@ class LayersProposalsRecipe(Recipe):
         generator: trained generator of states (``hvf train layers-generator``).
         episodes: episodes to learn from, at most.
         batch_size: scenes with goals per step.
-        hindsight_steps: the first steps, that learn from recorded changes; the others go down the
-            cost of the search.
+        hindsight_steps: the first steps, that learn from recorded changes; the others follow the
+            best proposals.
+        searched: scenes with goals per step of these.
         model: the network; the sizes of its generator are the generator's.
         loop: how to optimise.
     """
@@ -49,11 +50,12 @@ class LayersProposalsRecipe(Recipe):
     dynamics: Path = Path("runs/layers/model.safetensors")
     generator: Path = Path("runs/layers-generator/model.safetensors")
     episodes: int = 4000
-    batch_size: int = 192
+    batch_size: int = 256
     hindsight_steps: int = 6000
+    searched: int = 16
     model: ProposalsConfig = ProposalsConfig()
     loop: LoopConfig = LoopConfig(
-        steps=16_000,
+        steps=7500,
         learning_rate=1e-3,
         schedule="cosine",
         warmup_steps=100,
@@ -66,12 +68,12 @@ class LayersProposalsRecipe(Recipe):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.at_least_one("episodes", "batch_size")
+        self.at_least_one("episodes", "batch_size", "searched")
         if self.hindsight_steps < 0:
             raise ValueError(f"hindsight_steps must not be negative, got {self.hindsight_steps}")
 
     def stages(self, data: TrainingData) -> Stages:
-        """One stage, in two parts: hindsight, then search."""
+        """One stage, in two parts: hindsight, then the best proposals."""
         seed = self.loop.seed
         dynamics = load_model(self.dynamics, LayerDynamics, environment=data.environment)
         generator = load_model(self.generator, LayerGenerator, environment=data.environment)
@@ -88,6 +90,7 @@ class LayersProposalsRecipe(Recipe):
             generator,
             config.most,
             self.hindsight_steps,
+            self.searched,
             seed,
         )
         held_out = LayerTracks(
@@ -99,7 +102,12 @@ class LayersProposalsRecipe(Recipe):
             camera=data.camera,
         )
         measured = Recombined(
-            StatePairs(held_out, _MEASURED, seed, _SHARES), generator, config.most, 0, seed
+            StatePairs(held_out, _MEASURED, seed, _SHARES),
+            generator,
+            config.most,
+            0,
+            _MEASURED,
+            seed,
         )
         yield Stage(
             seeded(seed, lambda: LayerProposals(config)).learn_for(generator),
@@ -112,6 +120,7 @@ class LayersProposalsRecipe(Recipe):
                 "episodes": self.episodes,
                 "batch_size": self.batch_size,
                 "hindsight_steps": self.hindsight_steps,
+                "searched": self.searched,
             },
             validate=lambda model, _: validate_proposals(model, measured),
         )
@@ -127,14 +136,15 @@ class Recombined:
 
     A batch has one number of subgoals, K, 1 to ``most`` in turns. For the first
     ``hindsight_steps`` steps K + 1 changes lead to the goal, and it holds ``path``
-    ``[N, K + 2, X]`` and ``latents`` ``[N, K, L]``; then up to :data:`_FAR` more than K do, so that
-    there are goals farther than those of tasks, and it holds ``path`` and ``count``, K.
+    ``[N, K + 2, X]`` and ``latents`` ``[N, K, L]``; then up to :data:`_FAR` more do, so that there
+    are goals farther than those of tasks, and it holds ``path`` and ``count``, K.
 
     Args:
         pairs: scenes and what they are later.
         generator: knows the latents of changes, and draws.
         most: most subgoals.
         hindsight_steps: see above.
+        searched: samples of the batches after these, at most as many as the pairs'.
         seed: of the draws.
     """
 
@@ -144,11 +154,13 @@ class Recombined:
         generator: LayerGenerator,
         most: int,
         hindsight_steps: int,
+        searched: int,
         seed: int,
     ) -> None:
         self._pairs, self._most = pairs, most
         self._generator = generator.eval().requires_grad_(False)
-        self._hindsight_steps, self._seed = hindsight_steps, seed
+        self._hindsight_steps, self._searched = hindsight_steps, searched
+        self._seed = seed
 
     def batch(self, step: int) -> Mapping[str, torch.Tensor]:
         """The batch of training step ``step``, a function of (seed, step)."""
@@ -173,7 +185,7 @@ class Recombined:
         found = {"path": torch.stack(path, dim=1)}
         if hindsight:
             return {**found, "latents": torch.stack(latents[:-1], dim=1)}
-        return {**found, "count": torch.tensor(count)}
+        return {"path": found["path"][: self._searched], "count": torch.tensor(count)}
 
 
 def validate_proposals(model: LayerProposals, changes: Recombined) -> Validation:
@@ -186,12 +198,14 @@ def validate_proposals(model: LayerProposals, changes: Recombined) -> Validation
     for step in range(model.config.most):
         batch = changes.batch(step)
         path, count = batch["path"], int(batch["count"])
-        start, goal = path[:, 0], path[:, -1]
-        shape = (len(path), count, model.config.generator.latent_dim)
-        noises = {"means": torch.zeros(shape), "draws": torch.randn(shape, generator=random)}
+        shape = (len(path), model.config.draws, count, model.config.generator.latent_dim)
+        noises = {
+            "means": torch.zeros(len(path), model.config.elites, *shape[2:]),
+            "best": torch.randn(shape, generator=random),
+        }
         for name, noise in noises.items():
-            metrics[f"{name}_{count}"] = float(model.search(start, goal, noise)[0].median())
-        (generator,) = model._generator
-        costs = [generator.surprise(path[:, k + 1], path[:, k]) for k in range(count + 1)]
-        metrics[f"changes_{count}"] = float(torch.stack(costs).amax(dim=0).median())
+            costs = model.best(path[:, 0], path[:, -1], noise)[2]
+            best = costs.reshape(len(path), -1)[:, 0]
+            metrics[f"{name}_{count}"] = float(best.median())
+        metrics[f"changes_{count}"] = float(model.costs(path).median())
     return Validation(metrics)

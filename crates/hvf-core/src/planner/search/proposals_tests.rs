@@ -23,7 +23,7 @@ impl Proposing {
 
 impl SubgoalModel<Points> for Proposing {
     fn latent_dim(&self) -> usize {
-        self.drawn.latent_dim()
+        SubgoalModel::<Points>::latent_dim(&self.drawn)
     }
 
     fn decode(&self, scene: &Points, latents: Array3<f32>) -> Result<Points> {
