@@ -19,6 +19,8 @@ _NO_SCENE: Mapping[str, Any] = {"scene_weight": 0.0}
 _CHOICES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "no subgoals": ("none", {}),
     "HVF": ("hvf", {}),
+    "HVF from proposals": ("hvf-proposals", {}),
+    "proposals without a search": ("amortised", {}),
     "true subgoals": ("ground-truth", {}),
     "no subgoals, whole images alone": ("none", _NO_SCENE),
     "HVF, whole images alone": ("hvf", _NO_SCENE),
