@@ -98,11 +98,27 @@ def test_choices_at_the_desk_differ_in_what_counts_only() -> None:
     (table,) = tables(Setup("desk", "default", split="validation"), ["choices"])
     for column, task in enumerate(("two_block", "door_block", "door_two_block")):
         cells = [row[column].evaluation for row in table.rows.values()]
-        assert len(set(cells)) == len(cells) == 9
+        assert len(set(cells)) == len(cells) == 7
         default = Evaluation.of("desk", task=task, subgoals=2 if task == "door_two_block" else 1)
         assert default in cells
         for cell in cells:
             assert differences(cell, default).keys() <= {"scene_weight", "reduction"}
+
+
+def test_rows_of_proposals_differ_in_where_and_how_long_the_search_is() -> None:
+    (table,) = tables(Setup("desk", "default", split="validation"), ["proposals"])
+    budget = {"subgoal_samples", "subgoal_elites", "subgoal_iterations"}
+    for column, (task, count) in enumerate(
+        (("two_block", 1), ("door_block", 1), ("door_two_block", 2))
+    ):
+        cells = [row[column].evaluation for row in table.rows.values()]
+        assert len(set(cells)) == len(cells) == 5
+        default = Evaluation.of("desk", task=task, subgoals=count)
+        assert default in cells
+        for cell in cells:
+            assert cell is not None
+            assert (cell.task, cell.subgoals) == (task, count)
+            assert differences(cell, default).keys() <= budget
 
 
 def test_rows_of_video_models_differ_in_method_and_budget_only() -> None:

@@ -19,13 +19,22 @@ _NO_SCENE: Mapping[str, Any] = {"scene_weight": 0.0}
 _CHOICES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "no subgoals": ("none", {}),
     "HVF": ("hvf", {}),
-    "HVF from proposals": ("hvf-proposals", {}),
-    "proposals without a search": ("amortised", {}),
     "true subgoals": ("ground-truth", {}),
     "no subgoals, whole images alone": ("none", _NO_SCENE),
     "HVF, whole images alone": ("hvf", _NO_SCENE),
     "true subgoals, whole images alone": ("ground-truth", _NO_SCENE),
     "HVF, whole images alone, mean of segments": ("hvf", {**_NO_SCENE, "reduction": "mean"}),
+}
+
+
+_SMALL: Mapping[str, Any] = {"subgoal_samples": 128, "subgoal_elites": 12, "subgoal_iterations": 3}
+
+_PROPOSALS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "HVF": ("hvf", {}),
+    "HVF from proposals": ("hvf-proposals", {}),
+    "HVF, M = 128, 3 iterations": ("hvf", _SMALL),
+    "HVF from proposals, M = 128, 3 iterations": ("hvf-proposals", _SMALL),
+    "128 proposals, no search": ("amortised", {}),
 }
 
 
@@ -38,6 +47,7 @@ def desk(setup: Setup) -> list[PaperTable]:
     return [
         *_published(setup),
         _choices(setup),
+        _proposals(setup),
         _video(setup),
         *judging(setup, _WAYS, _published, _claims()),
     ]
@@ -80,6 +90,12 @@ def _choices(setup: Setup) -> PaperTable:
     """What a frame costs in acting, and how segments are reduced in the search."""
     title = "What counts, in acting and in the search for subgoals"
     return _of_tasks(setup, "choices", title, "choice", _CHOSEN, _CHOICES)
+
+
+def _proposals(setup: Setup) -> PaperTable:
+    """What proposals by a network are worth to the search, and without it."""
+    title = "Subgoals that a network proposes"
+    return _of_tasks(setup, "proposals", title, "subgoals", _CHOSEN, _PROPOSALS)
 
 
 def _of_tasks(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 import hvf_core
 from hvf.models.layers.proposals import LayerProposals
@@ -35,52 +34,25 @@ class ProposedSubgoals(StateSubgoals):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Means and standard deviations float32 `[K, L]`: each given the means before it.
 
-        Raises:
-            ValueError: more subgoals than the network proposes.
-        """
-        with one_thread():
-            noise = torch.zeros(1, subgoals, self.latent_dim)
-            means, log_std = self._chain(start, goal, noise)
-        return means[0].numpy(), log_std[0].exp().numpy()
-
-    def draws(
-        self,
-        start: hvf_core.LayerFrames,
-        goal: hvf_core.LayerFrames,
-        subgoals: int,
-        count: int,
-        seed: int,
-    ) -> NDArray[np.float32]:
-        """Latents float32 `[M, K, L]`: the means, then draws, each given those before it.
+        What is seen of the goal may mean several states; the likeliest is aimed at.
 
         Raises:
             ValueError: more subgoals than the network proposes.
         """
-        rng = np.random.default_rng(seed)
-        noise = rng.standard_normal((count, subgoals, self.latent_dim), np.float32)
-        noise[0] = 0.0
-        with one_thread():
-            latents: NDArray[np.float32] = self._chain(start, goal, torch.from_numpy(noise))[
-                0
-            ].numpy()
-        return latents
-
-    def _chain(
-        self, start: hvf_core.LayerFrames, goal: hvf_core.LayerFrames, noise: Tensor
-    ) -> tuple[Tensor, Tensor]:
         most = self.network.config.most
-        if not 1 <= noise.shape[1] <= most:
-            raise ValueError(f"subgoals: must be from 1 to {most}, got {noise.shape[1]}")
-        begin, end = torch.from_numpy(start.states), torch.from_numpy(goal.states)
-        # What is seen of the goal may mean several states; the likeliest is aimed at.
-        meanings = self._meanings(begin[0], end[0])
-        surprise = self.generator.surprise(meanings, begin.expand(len(meanings), -1))
-        aim = meanings[surprise.argmin()]
-        scenes, goals = (each.reshape(1, -1).expand(len(noise), -1) for each in (begin, aim))
-        return self.network.chain(self.generator, scenes, goals, noise)
+        if not 1 <= subgoals <= most:
+            raise ValueError(f"subgoals: must be from 1 to {most}, got {subgoals}")
+        with one_thread():
+            scene, end = torch.from_numpy(start.states), torch.from_numpy(goal.states)
+            meanings = self._meanings(scene[0], end[0])
+            surprise = self.generator.surprise(meanings, scene.expand(len(meanings), -1))
+            aim = meanings[surprise.argmin()][None]
+            means = torch.zeros(1, subgoals, self.latent_dim)
+            latents, log_std = self.network.chain(self.generator, scene, aim, means)
+        return latents[0].numpy(), log_std[0].exp().numpy()
 
 
-class LayerProposer:
+class UnboundProposals:
     """Trained proposals, before it is known which generator draws (`hvf.protocols.Proposals`)."""
 
     def __init__(self, network: LayerProposals) -> None:
@@ -98,6 +70,6 @@ class LayerProposer:
         return ProposedSubgoals(generator, self.network)
 
 
-def proposals_of(network: LayerProposals) -> LayerProposer:
+def proposals_of(network: LayerProposals) -> UnboundProposals:
     """What trained proposals are good for."""
-    return LayerProposer(network)
+    return UnboundProposals(network)
