@@ -38,10 +38,10 @@ class SpatialRecipe(Recipe):
     memory_gb: float = 2.0
     model: SpatialConfig = SpatialConfig()
     loop: LoopConfig = LoopConfig(
-        steps=10_000,
-        learning_rate=1e-3,
+        steps=12_000,
+        learning_rate=1.5e-3,
         schedule="cosine",
-        warmup_steps=200,
+        warmup_steps=300,
         weight_decay=1e-4,
         clip_norm=1.0,
         validate_every=500,
