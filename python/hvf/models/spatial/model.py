@@ -67,6 +67,7 @@ class SpatialLatent(VideoModel):
                 layer.weight.mul_(_LITTLE)
             self.decoder.last.weight.mul_(_LITTLE)
             # Four sub-pixels of each of four channels, of which the mask is the last.
+            assert self.decoder.last.bias is not None
             self.decoder.last.bias[12:] = _HARDLY
         for side, size in zip(("down", "across"), config.image_size, strict=True):
             matrix = blur_matrix(size, config.blur) if config.blur > 0 else torch.eye(size)
@@ -93,8 +94,9 @@ class SpatialLatent(VideoModel):
         """Frames float ``[N, 3, H, W]``, not clipped."""
         grid, first, *seen = state
         colours, mask = self.decoder(grid, seen)
-        # The first frame and a little change of it.
-        return first + torch.sigmoid(mask.float()) * (colours.float() + 0.5 - first)
+        # Colours are about grey.
+        drawn: Tensor = first + torch.sigmoid(mask.float()) * (colours.float() + 0.5 - first)
+        return drawn
 
     def loss(
         self, batch: Mapping[str, Tensor], generator: torch.Generator, step: int
