@@ -94,6 +94,22 @@ def test_the_desk_has_every_task_and_the_numbers_of_the_papers_text() -> None:
     assert all(row == [None] * 4 for row in published.values())
 
 
+def test_methods_become_rows_when_the_models_that_they_ask_are_given() -> None:
+    given = Setup("maze", models=(("tap", "runs/tap/model.safetensors"),))
+    (before,), (after,) = (tables(setup, ["methods"]) for setup in (PAPER, given))
+    assert after.rows.keys() - before.rows.keys() == {"TAP-1", "TAP-2"}
+    cells = {name: row for name, row in after.rows.items() if name in before.rows}
+    assert cells == before.rows
+    for count, row in ((1, after.rows["TAP-1"]), (2, after.rows["TAP-2"])):
+        for cell in row:
+            assert cell.evaluation is not None
+            assert cell.evaluation.subgoals == count
+            assert cell.evaluation.world.method_model == "runs/tap/model.safetensors"
+    assert given.options.endswith("--models tap runs/tap/model.safetensors")
+    with pytest.raises(ValueError, match=r"models: methods ask rig, tap; got 'sv2p'"):
+        Setup("maze", models=(("sv2p", "runs/sv2p/model.safetensors"),))
+
+
 def test_choices_at_the_desk_differ_in_what_counts_only() -> None:
     (table,) = tables(Setup("desk", "default", split="validation"), ["choices"])
     for column, task in enumerate(("two_block", "door_block", "door_two_block")):
