@@ -16,6 +16,7 @@ class SpatialConfig(VideoConfig):
         widths: channels of the encoder's convolutions, each of which halves the image; the last is
             the number of features in a cell of the state.
         blocks: residual blocks of the dynamics.
+        known: units of the network that tells all cells of the dynamics what is far.
         hold: steps of the environment that one of its steps is long (a macro-step).
         blur: standard deviation, pixels, of the Gaussian blur of the blurred part of the loss.
         blur_weight: weight of that part beside the sharp one.
@@ -30,6 +31,7 @@ class SpatialConfig(VideoConfig):
 
     widths: tuple[int, ...] = (16, 32, 48)
     blocks: int = 2
+    known: int = 128
     hold: int = 1
     blur: float = 3.0
     blur_weight: float = 4.0
@@ -42,7 +44,7 @@ class SpatialConfig(VideoConfig):
         object.__setattr__(self, "widths", tuple(self.widths))
         if len(self.widths) < 2 or min(self.widths) < 1:
             raise ValueError(f"widths must be two or more numbers of channels, got {self.widths}")
-        for name in ("hold", "drawn"):
+        for name in ("known", "hold", "drawn"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         for name in ("blocks", "blur", "blur_weight", "change_weight"):

@@ -58,7 +58,9 @@ class SpatialLatent(VideoModel):
         super().__init__(config)
         self.hold = config.hold
         self.encoder = Encoder(config.widths)
-        self.dynamics = Dynamics(config.widths[-1], config.grid, config.action_dim, config.blocks)
+        self.dynamics = Dynamics(
+            config.widths[-1], config.grid, config.action_dim, config.blocks, config.known
+        )
         self.decoder = Decoder(config.widths)
         initialise_after_he(self)
         with torch.no_grad():

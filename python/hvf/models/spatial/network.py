@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from hvf.models.convolutions import encoder_of
+from hvf.models.convolutions import encoder_of, fully_connected
 
 
 class Encoder(nn.Module):
@@ -37,26 +37,22 @@ class Encoder(nn.Module):
         return features[1:]
 
 
-class ActedBlock(nn.Module):
+class KnowingBlock(nn.Module):
     """A residual block of two 3x3 convolutions, between which features are scaled and shifted.
-
-    By how much is a linear function of the action and of the means of all features over the grid:
-    what convolutions do not carry far enough, such as where the other end of a long arm is.
 
     Args:
         width: features of a cell.
-        actions: numbers of an action.
+        known: numbers by which they are, linearly.
     """
 
-    def __init__(self, width: int, actions: int) -> None:
+    def __init__(self, width: int, known: int) -> None:
         super().__init__()
         self.first = nn.Conv2d(width, width, 3, padding=1)
         self.second = nn.Conv2d(width, width, 3, padding=1)
-        self.acted = nn.Linear(actions + width, 2 * width)
+        self.acted = nn.Linear(known, 2 * width)
 
-    def forward(self, hidden: Tensor, units: Tensor) -> Tensor:
-        """``hidden [N, width, h, w]`` after actions ``units [N, A]``, of the same shape."""
-        known = torch.cat([units, hidden.mean((2, 3))], dim=1)
+    def forward(self, hidden: Tensor, known: Tensor) -> Tensor:
+        """``hidden [N, width, h, w]`` with what is ``known [N, known]``, of the same shape."""
         gain, shift = self.acted(known)[:, :, None, None].chunk(2, dim=1)
         between = F.relu(self.first(hidden) * (1 + gain) + shift)
         return F.relu(hidden + self.second(between))
@@ -65,28 +61,41 @@ class ActedBlock(nn.Module):
 class Dynamics(nn.Module):
     """What an action adds to a grid of features.
 
-    What is near acts on what is near: convolutions. What an action does may depend on where (a
-    camera that looks at an angle), so each cell has numbers of its own beside its features.
+    Two ways lead from cell to cell. What is near acts on what is near, everywhere in the same
+    manner: convolutions. And some things go far in one step, such as an arm that one action swings
+    through the whole image: a small network is told the action and, by a few features of each
+    cell, the whole grid. What it makes of them scales and shifts the convolutions' features, and
+    is painted on the grid before them.
 
     Args:
         width: features of a cell.
         grid: height and width, cells.
         actions: numbers of an action.
         blocks: residual blocks.
+        known: units of the small network.
     """
 
-    def __init__(self, width: int, grid: tuple[int, int], actions: int, blocks: int) -> None:
+    def __init__(
+        self, width: int, grid: tuple[int, int], actions: int, blocks: int, known: int
+    ) -> None:
         super().__init__()
+        few, cells = max(1, width // 4), grid[0] * grid[1]
+        self.squeeze = nn.Conv2d(width, few, 1)
+        self.known = fully_connected(few * cells + actions, known, known)
+        self.paint = nn.Linear(known, cells * width)
         self.input = nn.Conv2d(width, width, 1)
-        self.place = nn.Parameter(torch.zeros(1, width, *grid))
-        self.blocks = nn.ModuleList(ActedBlock(width, actions) for _ in range(blocks))
+        self.blocks = nn.ModuleList(KnowingBlock(width, known) for _ in range(blocks))
         self.output = nn.Conv2d(width, width, 1)
 
     def forward(self, grid: Tensor, units: Tensor) -> Tensor:
         """The change of ``grid [N, width, h, w]`` by actions ``units [N, A]``, from -1 to 1."""
-        hidden = F.relu(self.input(grid) + self.place)
+        count, width, height, across = grid.shape
+        seen = self.squeeze(grid).flatten(1)
+        known = F.relu(self.known(torch.cat([units, seen], dim=1)))
+        painted = self.paint(known).reshape(count, height, across, width).permute(0, 3, 1, 2)
+        hidden = F.relu(self.input(grid) + painted)
         for block in self.blocks:
-            hidden = block(hidden, units)
+            hidden = block(hidden, known)
         change: Tensor = self.output(hidden)
         return change
 
@@ -94,7 +103,7 @@ class Dynamics(nn.Module):
         """The layers whose output is added to what was there."""
         yield self.output
         for block in self.blocks:
-            assert isinstance(block, ActedBlock)
+            assert isinstance(block, KnowingBlock)
             yield from (block.second, block.acted)
 
 
