@@ -35,7 +35,7 @@ from hvf.worlds.video import VideoWorld, world_of
 
 TINY = SpatialConfig(
     image_size=(16, 24), action_low=(-2, -1, 0), action_high=(2, 3, 1), widths=(4, 5, 6),
-    blocks=2, blur=1.5,
+    blocks=2, known=7, blur=1.5,
 )  # fmt: skip
 
 
@@ -83,21 +83,22 @@ def test_the_encoder_halves_and_keeps_every_size() -> None:
             np.testing.assert_allclose(features[n].detach(), x, atol=1e-5)
 
 
-def test_dynamics_are_convolutions_that_actions_and_means_scale_and_shift() -> None:
+def test_dynamics_are_convolutions_and_a_network_that_sees_the_whole_grid() -> None:
     torch.manual_seed(0)
-    dynamics = Dynamics(4, (3, 5), 2, 2)
-    with torch.no_grad():
-        dynamics.place.normal_()
+    dynamics = Dynamics(4, (3, 5), 2, blocks=2, known=7)
     grid, units = torch.randn(2, 4, 3, 5), torch.rand(2, 2)
     found = dynamics(grid, units)
     for n in range(2):
-        hidden = rectified(
-            convolved(dynamics.input, values(grid[n])[0]) + values(dynamics.place)[0]
-        )
-        hidden = hidden[0] if hidden.ndim == 4 else hidden
+        cells = values(grid[n])[0]
+        known = np.concatenate([units[n].numpy(), convolved(dynamics.squeeze, cells).flatten()])
+        for layer in (dynamics.known[0], dynamics.known[2]):
+            weight, bias = values(layer.weight, layer.bias)
+            known = rectified(weight @ known + bias)
+        weight, bias = values(dynamics.paint.weight, dynamics.paint.bias)
+        painted = (weight @ known + bias).reshape(3, 5, 4).transpose(2, 0, 1)
+        hidden = rectified(convolved(dynamics.input, cells) + painted)
         for block in dynamics.blocks:
             weight, bias = values(block.acted.weight, block.acted.bias)
-            known = np.concatenate([units[n].numpy(), hidden.mean(axis=(1, 2))])
             gain, shift = np.split(weight @ known + bias, 2)
             between = convolved(block.first, hidden) * (1 + gain[:, None, None])
             between = rectified(between + shift[:, None, None])
@@ -205,7 +206,7 @@ def test_any_size_that_the_cells_divide(size: tuple[int, int]) -> None:
 
 def test_it_has_the_size_that_the_documentation_says() -> None:
     model = made(SpatialConfig(action_low=(-1,) * 3, action_high=(1,) * 3))
-    assert sum(weights.numel() for weights in model.parameters()) == 208160
+    assert sum(weights.numel() for weights in model.parameters()) == 732076
     state = model.start(torch.rand(1, 1, 3, 64, 64), torch.zeros(1, 0, 3))
     counts = []
     for work in (
@@ -215,7 +216,7 @@ def test_it_has_the_size_that_the_documentation_says() -> None:
         with FlopCounterMode(display=False) as counted:
             work()
         counts.append(round(counted.get_total_flops() / 1e6, 1))
-    assert counts == [11.2, 18.6]
+    assert counts == [12.3, 18.6]
 
 
 @pytest.mark.parametrize(
@@ -223,6 +224,7 @@ def test_it_has_the_size_that_the_documentation_says() -> None:
     [
         ({"widths": (4,)}, "^widths must be two or more numbers"),
         ({"widths": (4, 0)}, "^widths must be two or more numbers"),
+        ({"known": 0}, "^known must be at least 1, got 0"),
         ({"hold": 0}, "^hold must be at least 1, got 0"),
         ({"drawn": 0}, "^drawn must be at least 1, got 0"),
         ({"blocks": -1}, "^blocks must be finite and not negative"),

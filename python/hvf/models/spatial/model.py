@@ -1,16 +1,18 @@
 """A spatial latent world model: a grid of features, what an action makes of it, and a decoder.
 
     state        z  = encoder(frame), a grid of cells of 8 x 8 pixels (three halvings)
-    dynamics     z' = z + network(z, u), convolutions scaled and shifted by the action u
+    dynamics     z' = z + network(z, u), convolutions that know of the action u and of what is far
     frame        mask * colours + (1 - mask) * first frame, both drawn from z'
 
 A vector state (:mod:`hvf.models.latent`) has to keep a number for the place of every thing, and
 learns what touching does anew for every place where it happens. Here a thing is features in the
-cells where it is, and one set of weights moves it everywhere. What the mask leaves alone is as
-sharp as the first frame is.
+cells where it is, and one set of weights moves it everywhere. What goes far in one step, such as
+an arm, is the business of a small network that sees the whole grid
+(:class:`~hvf.models.spatial.network.Dynamics`). What the mask leaves alone is as sharp as the
+first frame is.
 
 Dynamics never see a predicted frame, and frames are drawn only where they are asked for: a step
-costs what a few convolutions on the grid do, 11.2 MFLOP for 48 features in 8 x 8 cells; a
+costs what a few convolutions on the grid do, 12.3 MFLOP for 48 features in 8 x 8 cells; a
 frame of 64 x 64 pixels costs 18.6 MFLOP.
 
 Trained by prediction over several steps. The error of a frame is the sum of two, both squared and
