@@ -382,6 +382,22 @@ def test_the_papers_cvae_has_the_layers_of_the_released_code() -> None:
         model.centre(frames(2, (64, 64)))
 
 
+@pytest.mark.parametrize("config", [CVAEConfig(), PAPER_CVAE], ids=["ours", "paper"])
+def test_one_scene_for_all_images_is_encoded_as_copies_of_it_are(config: CVAEConfig) -> None:
+    model = seeded(0, lambda: CVAE(config)).double()
+    image = to_unit(frames(3, (64, 64), 1)).double()
+    scene = to_unit(frames(1, (64, 64), 2)).double()
+    with torch.no_grad():
+        shared = model.encode(image, scene)
+        copies = model.encode(image, scene.expand(3, -1, -1, -1))
+        features = [model.encoder(model.taken(x)).flatten(1) for x in (scene, image)]
+        both = torch.cat([features[0].expand(3, -1), features[1]], 1)
+        expected = model.posterior(both)[:, : config.latent_dim]
+    for one, other in zip(shared, copies, strict=True):
+        torch.testing.assert_close(one, other)
+    torch.testing.assert_close(shared[0], expected.float())
+
+
 @pytest.mark.parametrize("config", [PAPER_CVAE, PAPER_VAE], ids=["cvae", "vae"])
 def test_the_papers_loss_is_the_evidence_bound_of_the_second_given_the_first(
     config: CVAEConfig,

@@ -12,7 +12,7 @@ import pytest
 import processes
 from hvf.cli import main
 from hvf.evaluation.evaluation import Evaluation
-from hvf.evaluation.report import Report, TrialRecord, load, save
+from hvf.evaluation.report import Report, load, save
 from hvf.evaluation.run import evaluate
 from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.experiments.paper import (
@@ -25,34 +25,10 @@ from hvf.experiments.paper import (
 )
 from hvf.experiments.parallel import finished, report_of, run_all
 from hvf.experiments.planners import VARIANTS
-from hvf.registry import METHODS
 from hvf_core import HVF, VisualMPC
+from made_reports import made
 
 PAPER = Setup("maze")
-
-
-def stub(evaluation: Evaluation, successes: int, trials: int) -> Report:
-    """A report as if the first trials succeeded."""
-    method = METHODS[evaluation.method]
-    world = evaluation.place.resolved(evaluation.world)
-    names = {"dynamics": world.dynamics, "cost": world.cost} if method.needs_dynamics else {}
-    if method.needs_generator:
-        names["generator"] = world.generator
-    head = {
-        "domain": evaluation.domain,
-        "task": evaluation.task,
-        "method": evaluation.method,
-        "subgoals": evaluation.subgoals if method.has_subgoals else 0,
-        "preset": evaluation.preset,
-        "split": evaluation.split,
-        "seed": evaluation.episode_seed,
-        "world": names,
-        "kind": "object",
-        "planning": vars(evaluation.planning),
-        "weights": {},
-    }
-    records = [TrialRecord(i, i < successes, 9, (), 0.0, 0.0) for i in range(trials)]
-    return Report.of(evaluation.name, head, records, 1.0, {"commit": "c0ffee", "changes": None})
 
 
 def settings(evaluation: Evaluation | None) -> dict[str, object]:
@@ -92,6 +68,22 @@ def test_the_desk_has_every_task_and_the_numbers_of_the_papers_text() -> None:
     assert published.pop("HVF-1") == [None, None, None, 0.15]
     assert published.pop("HVF-2") == [None, None, None, 0.42]
     assert all(row == [None] * 4 for row in published.values())
+
+
+def test_methods_become_rows_when_the_models_that_they_ask_are_given() -> None:
+    given = Setup("maze", models=(("tap", "runs/tap/model.safetensors"),))
+    (before,), (after,) = (tables(setup, ["methods"]) for setup in (PAPER, given))
+    assert after.rows.keys() - before.rows.keys() == {"TAP-1", "TAP-2"}
+    cells = {name: row for name, row in after.rows.items() if name in before.rows}
+    assert cells == before.rows
+    for count, row in ((1, after.rows["TAP-1"]), (2, after.rows["TAP-2"])):
+        for cell in row:
+            assert cell.evaluation is not None
+            assert cell.evaluation.subgoals == count
+            assert cell.evaluation.world.method_model == "runs/tap/model.safetensors"
+    assert given.options.endswith("--models tap runs/tap/model.safetensors")
+    with pytest.raises(ValueError, match=r"models: methods ask rig, tap; got 'sv2p'"):
+        Setup("maze", models=(("sv2p", "runs/sv2p/model.safetensors"),))
 
 
 def test_choices_at_the_desk_differ_in_what_counts_only() -> None:
@@ -223,7 +215,7 @@ def test_rows_that_are_compared_with_each_other_say_by_how_much_they_differ() ->
     (table,) = tables(Setup("maze", "default", split="validation"), ["planners"])
     cells = [table.rows[name][0] for name in ("plain CEM", "coloured noise")]
     reports = {
-        cell.evaluation: stub(cell.evaluation, successes, 100)
+        cell.evaluation: made(cell.evaluation, range(successes), 100)
         for cell, successes in zip(cells, (40, 60), strict=True)
         if cell.evaluation is not None
     }
@@ -292,9 +284,9 @@ def test_tables_show_ours_beside_the_papers_and_leave_blank_what_is_missing(
     where = files(tables(PAPER, ["subgoals", "cost"]), tmp_path)
     for evaluation, file in where.items():
         if evaluation.method == "none" and evaluation.world.cost == "pixel":
-            save(stub(evaluation, 60, 100), file)
+            save(made(evaluation, range(60), 100), file)
         elif evaluation.subgoals == 3:
-            save(stub(evaluation, 4, 10), file)
+            save(made(evaluation, range(4), 10), file)
     words = ["paper", "maze", "--only", "subgoals", "cost", "--out", str(tmp_path), "--no-run"]
     assert main(words) == 0
     output = capsys.readouterr().out
@@ -322,13 +314,13 @@ def test_a_file_of_something_else_is_not_taken_for_a_cell(tmp_path: Path) -> Non
         Evaluation.of("maze", "paper", method="ground-truth", split="test"),
     ]
     for other in others:
-        save(stub(other, 1, 2), file)
+        save(made(other, range(1), 2), file)
         with pytest.raises(FileExistsError, match=r"cell\.json: holds another evaluation"):
             report_of(evaluation, file)
     file.write_text("{}")
     with pytest.raises(FileExistsError, match=r"cell\.json: is in the way"):
         report_of(evaluation, file)
-    save(stub(evaluation, 1, 2), file)
+    save(made(evaluation, range(1), 2), file)
     assert finished(evaluation, file, 2)
     assert not finished(evaluation, file, 3)
 

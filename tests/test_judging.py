@@ -2,40 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hvf.evaluation.evaluation import Evaluation
-from hvf.evaluation.report import Report, TrialRecord
 from hvf.experiments.cells import PaperTable, Setup
 from hvf.experiments.paper import markdown, order_verdict, tables
-from hvf.registry import METHODS
+from made_reports import made
 
 PUBLISHED = Path(__file__).parent.parent.parent / "shared" / "paper" / "tables.json"
-
-
-def report(evaluation: Evaluation, successes: set[int], trials: int = 100) -> Report:
-    """A report in which these episodes succeeded."""
-    method = METHODS[evaluation.method]
-    head = {
-        "domain": evaluation.domain,
-        "task": evaluation.task,
-        "method": evaluation.method,
-        "subgoals": evaluation.subgoals if method.has_subgoals else 0,
-        "preset": evaluation.preset,
-        "split": evaluation.split,
-        "seed": evaluation.episode_seed,
-        "world": evaluation.world_names,
-        "kind": "video",
-        "planning": dataclasses.asdict(evaluation.planning),
-        "weights": {},
-    }
-    records = [TrialRecord(i, i in successes, 9, (), 0.0, 0.0) for i in range(trials)]
-    return Report.of(evaluation.name, head, records, 1.0, {"commit": "c0ffee", "changes": None})
 
 
 def judged(domain: str) -> tuple[PaperTable, PaperTable]:
@@ -93,8 +70,8 @@ def test_an_order_is_judged_on_the_same_episodes() -> None:
         few, many = set(range(20)), set(range(20 + abs(ahead)))
         first, second = (many, few) if ahead > 0 else (few, many)
         reports = {
-            cell.evaluation: report(cell.evaluation, first),
-            cell.baseline: report(cell.baseline, second),
+            cell.evaluation: made(cell.evaluation, first, kind="video"),
+            cell.baseline: made(cell.baseline, second, kind="video"),
         }
         (row,) = [
             line
@@ -118,7 +95,7 @@ def test_an_order_with_one_of_both_missing_is_blank() -> None:
     cell = orders.rows["HVF-2 than HVF-1, hard"][1]
     for evaluation in (cell.evaluation, cell.baseline):
         assert evaluation is not None
-        text = markdown([orders], {evaluation: report(evaluation, {1, 2})}, "")
+        text = markdown([orders], {evaluation: made(evaluation, {1, 2}, kind="video")}, "")
         assert "| HVF-2 than HVF-1, hard |  |  |  |" in text.splitlines()
 
 

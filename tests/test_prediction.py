@@ -16,6 +16,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 from rich.console import Console
+from scipy.ndimage import gaussian_filter
 
 import hvf_core
 import toy_desk as toy
@@ -209,6 +210,19 @@ def test_figures_of_images_are_means_beside_those_of_the_last_frame_copied() -> 
             still = np.mean([measure_of(windows.start[i], windows.future[i, h]) for i in range(20)])
             assert found[name][h] == pytest.approx(guess, abs=6e-5)
             assert found[f"{name}_still"][h] == pytest.approx(still, abs=6e-5)
+
+
+def test_images_are_compared_once_more_through_a_blur() -> None:
+    windows = random_windows()
+    drawn = predict(Shifter(), windows.past, windows.actions)
+    found = image_figures(drawn, windows, blur=1.5)
+    for h in range(3):
+        smooth = gaussian_filter(
+            drawn[:, h] / 255 - windows.future[:, h] / 255, (0, 1.5, 1.5, 0), output=np.float64
+        )
+        expected = -10 * np.log10((smooth**2).mean(axis=(1, 2, 3)))
+        assert found["psnr_blurred"][h] == pytest.approx(expected.mean(), abs=1e-3)
+    assert "psnr_blurred" not in image_figures(drawn, windows)
 
 
 def test_figures_of_things_are_distances_in_millimetres() -> None:

@@ -321,6 +321,7 @@ def test_models_are_listed_without_torch() -> None:
         "vae": "video",
         "sv2p": "video",
         "sv2p-small": "video",
+        "spatial-latent": "video",
         "tap": "video",
         "tdm": "video",
         "rig": "video",

@@ -18,6 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hvf_core
+from convolving import slow_convolution
 from hvf.cli import main
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
@@ -54,19 +55,6 @@ def clips(count: int = 5, config: SV2PConfig = TINY, seed: int = 0) -> dict[str,
         "frames": torch.from_numpy(rng.integers(0, 256, shape, dtype=np.uint8)),
         "actions": torch.from_numpy(actions.astype(np.float32)),
     }
-
-
-def slow_convolution(x: np.ndarray, weight: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    """``x [C, H, W]`` padded by zeros to its own size; weights ``[O, C, k, k]``, k odd."""
-    side = weight.shape[2]
-    padded = np.pad(x, ((0, 0), (side // 2,) * 2, (side // 2,) * 2))
-    out = np.empty((len(weight), *x.shape[1:]))
-    for o in range(len(weight)):
-        for row in range(x.shape[1]):
-            for column in range(x.shape[2]):
-                patch = padded[:, row : row + side, column : column + side]
-                out[o, row, column] = (patch * weight[o]).sum() + bias[o]
-    return out
 
 
 def values(*tensors: torch.Tensor) -> list[np.ndarray]:

@@ -111,6 +111,7 @@ MODELS: Registry[ModelEntry] = Registry(
         "vae": "hvf.models.catalogue:VAE",
         "sv2p": "hvf.models.catalogue:SV2P",
         "sv2p-small": "hvf.models.catalogue:SV2P_SMALL",
+        "spatial-latent": "hvf.models.catalogue:SPATIAL_LATENT",
         "tap": "hvf.models.catalogue:TAP",
         "tdm": "hvf.models.catalogue:TDM",
         "rig": "hvf.models.catalogue:RIG",

@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from hvf.interrupts import sigterm_as_interrupt
+from hvf.memory import keep_freed
 
 
 class Verb(NamedTuple):
@@ -61,6 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _usage(words)
     verb, rest = words[0], words[1:]
     console = Console(stderr=True)
+    keep_freed()
     try:
         with sigterm_as_interrupt():
             importlib.import_module(VERBS[verb].module).run(rest)

@@ -24,10 +24,13 @@ class Paper:
 
         hvf paper maze --preset default --world simulator --no-run
 
+        hvf paper maze --only methods --models tap runs/tap/model.safetensors
+
     Attributes:
         only: names of tables; all if none.
         world: dynamics to plan with: a name or a checkpoint; the preset's if none.
         generator: what draws subgoals; the preset's if none.
+        models: name and checkpoint of models that methods ask and that do not ship: "tap", "rig".
         preset: settings to begin with.
         trials: episodes of each evaluation.
         split: which episodes; test is for tables that are published.
@@ -40,6 +43,7 @@ class Paper:
     only: tuple[str, ...] = ()
     world: str | None = None
     generator: str | None = None
+    models: dict[str, str] = dataclasses.field(default_factory=dict)
     preset: str = "paper"
     trials: int = 100
     split: str = "test"
@@ -63,7 +67,14 @@ def run(words: Sequence[str]) -> None:
         Paper, f"paper {domain.name}", rest, description=f"{_about()}\n\nTables: {names}."
     )
     text, failures = paper(
-        Setup(domain.name, config.preset, config.world, config.generator, config.split),
+        Setup(
+            domain.name,
+            config.preset,
+            config.world,
+            config.generator,
+            config.split,
+            tuple(config.models.items()),
+        ),
         config.out or Path("results", domain.name),
         only=config.only,
         trials=config.trials,

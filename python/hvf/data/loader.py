@@ -177,26 +177,31 @@ class PairSampler:
 
 
 class WindowSampler:
-    """Stretches of consecutive frames with their actions.
+    """Stretches of frames with the actions between them.
 
     Batches hold ``frames``, uint8 ``[B, L+1, H, W, 3]``, and ``actions``, float32 ``[B, L, A]``,
     for ``L`` = ``length``: an episode drawn uniformly among those that are long enough, and a start
-    in it.
+    in it. With ``hold`` the frames are so many steps apart, and a stretch begins where an action
+    begins that is held.
     """
 
-    def __init__(self, pool: EpisodePool, batch_size: int, length: int, seed: int = 0) -> None:
-        if batch_size < 1:
-            raise ValueError(f"batch_size must be at least 1, got {batch_size}")
+    def __init__(
+        self, pool: EpisodePool, batch_size: int, length: int, seed: int = 0, *, hold: int = 1
+    ) -> None:
+        for name, value in (("batch_size", batch_size), ("hold", hold)):
+            if value < 1:
+                raise ValueError(f"{name} must be at least 1, got {value}")
         if not pool.actions.shape[2]:
             raise ValueError(
                 "data: has no actions, nobody knows what was done; only generators of subgoals "
                 "can learn from it"
             )
-        if not 1 <= length <= pool.longest:
-            raise ValueError(f"length must be from 1 to {pool.longest}, got {length}")
+        if not 1 <= length <= pool.longest // hold:
+            raise ValueError(f"length must be from 1 to {pool.longest // hold}, got {length}")
         self._pool = pool
         self._batch_size = batch_size
         self._length = length
+        self._hold = hold
         self._seed = seed
 
     def batch(self, step: int) -> Mapping[str, torch.Tensor]:
@@ -207,14 +212,11 @@ class WindowSampler:
         """
         self._pool.move_to(step)
         rng = np.random.default_rng([self._seed, step])
-        enough = self._pool.long_enough(self._length, "length", step)
+        enough = self._pool.long_enough(self._length * self._hold, "length", step)
         episodes = enough[rng.integers(len(enough), size=(self._batch_size, 1))]
-        starts = rng.integers(self._pool.lengths[episodes] - self._length + 1)
+        starts = rng.integers(self._pool.lengths[episodes] // self._hold - self._length + 1)
+        times = (starts + np.arange(self._length + 1)) * self._hold
         return {
-            "frames": torch.from_numpy(
-                self._pool.frames[episodes, starts + np.arange(self._length + 1)]
-            ),
-            "actions": torch.from_numpy(
-                self._pool.actions[episodes, starts + np.arange(self._length)]
-            ),
+            "frames": torch.from_numpy(self._pool.frames[episodes, times]),
+            "actions": torch.from_numpy(self._pool.actions[episodes, times[:, :-1]]),
         }

@@ -10,17 +10,17 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hvf.closing import Closing
 from hvf.protocols import SubgoalModel, Trials, WorldModel
 from hvf.settings import Planning, Preset, World
 
 
-class Place:
+class Place(Closing):
     """A domain that is open: it makes trials, and holds what simulates them.
 
     This class is a place without trials and without a simulator, such as recorded video.
@@ -56,17 +56,6 @@ class Place:
 
     def close(self) -> None:
         """Stop what runs."""
-
-    def __enter__(self) -> Place:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 class MoreTasks(Protocol):

@@ -22,6 +22,7 @@ import torch
 from numpy.typing import NDArray
 
 from hvf.agents.frames import remembered
+from hvf.blur import blur_matrix
 from hvf.data.formats import EpisodeReader
 from hvf.models.image_quality import Measure, perceptual_distance, psnr, ssim
 from hvf.protocols import Images, Observer, Remembering
@@ -160,20 +161,27 @@ def context_of(world: Any) -> int:
 
 
 def image_figures(
-    drawn: Images, windows: Windows, steps_ahead: Sequence[int] | None = None
+    drawn: Images,
+    windows: Windows,
+    steps_ahead: Sequence[int] | None = None,
+    blur: float = 0.0,
 ) -> dict[str, list[float | None]]:
     """Mean PSNR (dB), SSIM and ST-LPIPS by steps ahead, `[H]` each.
 
     Of predicted frames as `psnr`, `ssim` and `st_lpips`, of the last frame seen as `..._still`.
-    ST-LPIPS only where it is installed, and its network has room in the images.
+    ST-LPIPS only where it is installed, and its network has room in the images. With a blur also
+    the PSNR of blurred frames, `psnr_blurred`.
 
     Args:
         drawn: predicted frames, uint8 `[N, H, S, S, 3]`.
         windows: what happened.
         steps_ahead: from 1 to `H`: those at which ST-LPIPS is measured, whose network takes a
             hundred times longer than the rest; None elsewhere.
+        blur: standard deviation, pixels, of a Gaussian blur as the planner's; 0 for none.
     """
     measures: dict[str, Measure] = {"psnr": psnr, "ssim": ssim}
+    if blur > 0:
+        measures["psnr_blurred"] = _psnr_through(blur, *drawn.shape[2:4])
     if min(drawn.shape[2:4]) >= _ROOM:
         with contextlib.suppress(ModuleNotFoundError):
             measures["st_lpips"] = perceptual_distance()
@@ -194,6 +202,18 @@ def image_figures(
             means = dict(zip(steps, np.concatenate(values).mean(axis=0).round(4), strict=True))
             result[key] = [float(means[h]) if h in means else None for h in every]
     return result
+
+
+def _psnr_through(blur: float, height: int, width: int) -> Measure:
+    down, across = blur_matrix(height, blur), blur_matrix(width, blur)
+
+    def blurred(images: Images) -> NDArray[np.float64]:
+        smooth: NDArray[np.float64] = np.einsum(
+            "hi,wj,...ijc->...hwc", down, across, images.astype(np.float64), optimize=True
+        )
+        return smooth
+
+    return lambda guess, truth: psnr(blurred(guess), blurred(truth))
 
 
 def thing_figures(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Any
 
 from hvf.agents.method import Means
+from hvf.closing import Closing
 from hvf.domains.domain import Place
 from hvf.evaluation.acting import Outcome, Watcher, act, derived_seed
 from hvf.evaluation.evaluation import Evaluation
@@ -18,7 +18,7 @@ from hvf.worlds.load import Loaded, Weights, kind_of, load, load_asked
 _CHUNK, _CHUNK_IF_SLOW, _CHUNK_IF_SIMULATED = 25, 5, 2
 
 
-class Task:
+class Task(Closing):
     """A method on the numbered episodes of a domain. Close it, or use it in a ``with`` block.
 
     Args:
@@ -90,17 +90,6 @@ class Task:
         """Close the place, if it is the task's own."""
         if self._own:
             self.place.close()
-
-    def __enter__(self) -> Task:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     @property
     def name(self) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 from hvf.evaluation.evaluation import Evaluation
+from hvf.registry import DOMAINS, METHODS
 
 Order: TypeAlias = Literal["higher", "lower"]
 """Whether the paper has one rate above another, or below it."""
@@ -22,6 +24,10 @@ class Setup:
         dynamics: what they plan with; None for the preset's.
         generator: what draws subgoals; None for the preset's.
         split: which episodes.
+        models: name and checkpoint of models that methods ask and that do not ship, such as "tap".
+
+    Raises:
+        ValueError: the name of a model that no method asks.
     """
 
     domain: str
@@ -29,6 +35,19 @@ class Setup:
     dynamics: str | None = None
     generator: str | None = None
     split: str = "test"
+    models: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        methods = (METHODS[name] for name in METHODS)
+        asked = sorted({method.asks for method in methods if method.asks is not None})
+        for name, _ in self.models:
+            if name not in asked:
+                raise ValueError(f"models: methods ask {', '.join(asked)}; got {name!r}")
+
+    def has(self, method: str) -> bool:
+        """Whether all is there that a method asks."""
+        asked = METHODS[method].asks
+        return asked in (None, *DOMAINS[self.domain].weights, *dict(self.models))
 
     def evaluation(self, method: str, subgoals: int = 0, **settings: Any) -> Evaluation:
         """One of them; ``settings`` may have another ``preset``.
@@ -36,7 +55,11 @@ class Setup:
         Raises:
             ValueError, TypeError: a setting that there is not, or out of range.
         """
-        world = {"dynamics": self.dynamics, "generator": self.generator}
+        world = {
+            "dynamics": self.dynamics,
+            "generator": self.generator,
+            "method_model": dict(self.models).get(METHODS[method].asks or ""),
+        }
         named = {name: value for name, value in world.items() if value is not None}
         own: dict[str, Any] = {
             "preset": self.preset,
@@ -53,6 +76,7 @@ class Setup:
         words += [f"--world {self.dynamics}"] if self.dynamics else []
         words += [f"--generator {self.generator}"] if self.generator else []
         words += [f"--split {self.split}"] if self.split != "test" else []
+        words += [f"--models {' '.join(itertools.chain(*self.models))}"] if self.models else []
         return " ".join(words)
 
 

@@ -16,7 +16,10 @@ _METHODS = (
     ("rig", 0),
     ("random", 0),
 )
-"""Methods of the paper's figures, and acting at random; those whose models ship become rows."""
+"""Methods of the paper's figures, and acting at random.
+
+Those become rows whose models ship or are given.
+"""
 
 
 def methods(setup: Setup, title: str) -> PaperTable:
@@ -36,6 +39,6 @@ def methods(setup: Setup, title: str) -> PaperTable:
             for task in domain.tasks
         )
         for method, count in _METHODS
-        if METHODS[method].asks in (None, *domain.weights)
+        if setup.has(method)
     }
     return PaperTable("methods", title, "method", tuple(domain.tasks), rows)

@@ -30,6 +30,7 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report, load
 from hvf.evaluation.run import evaluate
 from hvf.interrupts import Interrupts
+from hvf.memory import keep_freed
 from hvf.registry import METHODS
 
 _POOLS = ("RAYON_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -237,6 +238,7 @@ def _run(evaluation: Evaluation, file: Path, trials: int, chunk: int, errors: Co
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     _end_with_parent()
+    keep_freed()
     if not chunk and METHODS[evaluation.method].needs_generator:
         chunk = 1
     try:

@@ -40,6 +40,7 @@ from hvf.evaluation.prediction import (
 from hvf.files import write_bytes
 from hvf.images import frame_grid, write_png
 from hvf.models.probe import PositionProbe
+from hvf.settings import check_blur
 from hvf.training.loop import LoopConfig
 from hvf.training.probe import train_probe
 
@@ -63,6 +64,8 @@ class Probe:
         windows: windows in each of them.
         horizon: steps that a window has.
         steps_ahead: steps ahead that tables and pictures show, up to the horizon.
+        blur: standard deviation, pixels, of a Gaussian blur through which images are compared once
+            more, as planning may do; 0 for none.
         probe_episodes: training episodes that the probe learns from, at most.
         layout: in place of data, for models of the maze: a layout (corridor-4, u-maze, spiral, a
             TOML file) in which random interaction is simulated; positions are read exactly.
@@ -77,6 +80,7 @@ class Probe:
     windows: int = 4
     horizon: int = 15
     steps_ahead: tuple[int, ...] = (1, 5, 15)
+    blur: float = 0.0
     probe_episodes: int = 1000
     layout: str | None = None
     loop: LoopConfig = LoopConfig(
@@ -95,6 +99,7 @@ class Probe:
         for name in ("episodes", "windows", "horizon", "probe_episodes"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        check_blur("blur", self.blur)
         if not self.steps_ahead or not all(1 <= h <= self.horizon for h in self.steps_ahead):
             raise ValueError(
                 f"steps_ahead must be from 1 to the horizon {self.horizon}, got {self.steps_ahead}"
@@ -225,7 +230,7 @@ def written(
     drawn = predict(world, windows.past, windows.actions, windows.past_actions)
     figures |= {
         "windows": len(windows),
-        "images": image_figures(drawn, windows, config.steps_ahead),
+        "images": image_figures(drawn, windows, config.steps_ahead, config.blur),
         "things": thing_figures(drawn, windows, reader, things, config.steps_ahead)
         if reader
         else {},

@@ -170,3 +170,16 @@ LATENT = ModelEntry(
         "matters for the next ones; things smaller than its blur need not be told apart"
     ),
 )
+
+SPATIAL_LATENT = ModelEntry(
+    about="A general world model whose state is a grid of features; draws over the first frame.",
+    kind="video",
+    role="dynamics",
+    module="hvf.models.spatial.model:SpatialLatent",
+    plannable="hvf.worlds.video:world_of",
+    recipe="hvf.training.recipes.spatial:SpatialRecipe",
+    assumes=(
+        "nothing of a scene but the size of its images and actions; one frame tells all that "
+        "matters for the next ones"
+    ),
+)

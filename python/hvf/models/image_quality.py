@@ -7,7 +7,7 @@ network comes inside its package. It is optional: ``pip install "hvf[metrics]"``
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -20,8 +20,8 @@ Measure: TypeAlias = Callable[[NDArray[np.uint8], NDArray[np.uint8]], NDArray[np
 _AT_ONCE = 64
 
 
-def psnr(guess: NDArray[np.uint8], truth: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Peak signal-to-noise ratio, dB, of images uint8 `[..., S, S, 3]`, at most 60."""
+def psnr(guess: NDArray[Any], truth: NDArray[Any]) -> NDArray[np.float64]:
+    """Peak signal-to-noise ratio, dB, of images `[..., S, S, 3]` from 0 to 255, at most 60."""
     squared = ((guess.astype(np.float64) - truth) / 255) ** 2
     result: NDArray[np.float64] = -10 * np.log10(squared.mean(axis=(-1, -2, -3)).clip(1e-6))
     return result

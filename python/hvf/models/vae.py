@@ -85,10 +85,23 @@ class CVAE(Centred):
     def encode(
         self, image: torch.Tensor, scene: torch.Tensor | None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean and log variance of the posterior, ``[B, L]`` each, of images in a scene ``[B]``."""
-        parts = [image] if scene is None else [scene, image]
-        features = self._encode(torch.cat(parts)).flatten(1)
-        mean, _, log_variance = self._posterior(torch.cat(features.chunk(len(parts)), 1))
+        """Mean and log variance of the posterior, ``[B, L]`` each.
+
+        Args:
+            image: images ``[B, 3, H, W]`` in [0, 1].
+            scene: the scene of each, or ``[1, 3, H, W]``, the scene of all; None without.
+        """
+        features = self._encode(image).flatten(1)
+        if scene is None:
+            mean, _, log_variance = self._posterior(self.posterior(features))
+            return mean, log_variance
+        # The first layer is linear in both, so that what it makes of a scene is made once.
+        first = cast(nn.Linear, self.posterior[0])
+        of_scene, of_image = first.weight.chunk(2, 1)
+        context = F.linear(self._encode(scene).flatten(1), of_scene, first.bias)
+        mean, _, log_variance = self._posterior(
+            self.posterior[1:](context + F.linear(features, of_image))
+        )
         return mean, log_variance
 
     def decode_logits(self, latent: torch.Tensor, scene: torch.Tensor | None) -> torch.Tensor:
@@ -152,7 +165,7 @@ class CVAE(Centred):
             flat = torch.cat([scene.flatten(1), spatial.flatten(1)], 1)
         else:
             flat = self._encode(image).flatten(1)
-        mean, deviation, log_variance = self._posterior(flat)
+        mean, deviation, log_variance = self._posterior(self.posterior(flat))
         noise = torch.randn(mean.shape, generator=generator, device=mean.device, dtype=mean.dtype)
         logits = self._decode(mean + noise * deviation, scene).float()
 
@@ -202,9 +215,9 @@ class CVAE(Centred):
         features: torch.Tensor = self.encoder(self.taken(images))
         return features
 
-    def _posterior(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Mean, standard deviation and log variance."""
-        mean, second = self.posterior(features).float().chunk(2, 1)
+    def _posterior(self, outputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Mean, standard deviation and log variance from what the last layer gives."""
+        mean, second = outputs.float().chunk(2, 1)
         if self.config.posterior == "relu-std":
             deviation = F.relu(second)
             return mean, deviation, (_LEAST_VARIANCE + deviation.square()).log()

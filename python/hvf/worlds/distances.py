@@ -9,7 +9,7 @@ and encode frames by three.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -28,7 +28,8 @@ from hvf.threads import one_thread
 from hvf.worlds.keypoint import KeypointWorld
 from hvf.worlds.world import Around
 
-_AT_ONCE = 512
+# Images that are drawn and measured together: what the networks make of them stays in the caches.
+_AT_ONCE = 64
 
 
 class ImageDistance(Protocol):
@@ -63,8 +64,7 @@ class LatentDistance:
 
     def _encode(self, images: Tensor, scene: Tensor) -> Tensor:
         """Means of the posterior, `[N, L]`."""
-        given = scene.expand(len(images), -1, -1, -1) if self.cvae.config.conditional else None
-        return self.cvae.encode(images, given)[0]
+        return self.cvae.encode(images, scene if self.cvae.config.conditional else None)[0]
 
 
 class FarDistance:
@@ -85,9 +85,9 @@ class ImageDistanceWorld(Around):
 
     Args:
         world: has ``observe(images)``, frames with ``images``, and ``predict(frames[N],
-            actions[N, H, A])`` that gives uint8 ``[N, H, S, S, 3]``; or, in its place,
-            ``drawn(frames[N], actions[N, H, A], last)`` that gives float ``[N, H, 3, S, S]``, only
-            the last step's if ``last``. If it ``uses_seeds``, the two take ``seeds [N]``, too.
+            actions[N, H, A])`` that gives uint8 ``[N, H, S, S, 3]``, and takes ``seeds [N]``, too,
+            if it ``uses_seeds``; or, in its place, ``drawn(frames[B], actions[B, D, H, A], last)``
+            that gives float ``[B, D, H, 3, S, S]``, only the last step's if ``last``.
         distance: of predicted images to the goal.
         over_horizon: whether the last predicted frame counts, their sum, or their minimum.
     """
@@ -125,11 +125,10 @@ class ImageDistanceWorld(Around):
             one = np.array([b])
             start, goal = (self._unit(frames[one].images) for frames in (starts, goals))
             noise = {} if seeds is None else {"seeds": seeds[b]}
-            seen = self._predicted(starts[np.repeat(one, candidates)], actions[b], noise)
             with one_thread():
                 parts = [
-                    self.distance(to_unit(part) if part.dtype == torch.uint8 else part, goal, start)
-                    for part in torch.split(seen.flatten(0, 1), _AT_ONCE)
+                    self.distance(part, goal, start)
+                    for part in self._predicted(starts[one], actions[b], noise)
                 ]
                 apart = torch.cat(parts).reshape(candidates, -1)
                 total = apart.amin(dim=1) if self.over_horizon == "min" else apart.sum(dim=1)
@@ -137,16 +136,24 @@ class ImageDistanceWorld(Around):
         return costs
 
     def _predicted(
-        self, starts: Any, actions: NDArray[np.float32], noise: Mapping[str, NDArray[np.int64]]
-    ) -> Tensor:
-        """Images that count, ``[N, H or 1, ...]``: uint8 ``[H, W, 3]`` or float ``[3, H, W]``."""
+        self, start: Any, actions: NDArray[np.float32], noise: Mapping[str, NDArray[np.int64]]
+    ) -> Iterator[Tensor]:
+        """Images that count, float ``[n, 3, H, W]``, some at a time.
+
+        Of ``actions [D, H, A]`` from ``start [1]``, candidate by candidate.
+        """
         last = self.over_horizon == "last"
         if hasattr(self.world, "drawn"):
-            drawn: Tensor = self.world.drawn(starts, actions, last, **noise).clamp(0, 1)
-            return drawn.to(self.distance.device)
-        seen = self.world.predict(starts, actions, **noise)
-        seen = np.ascontiguousarray(seen[:, -1:] if last else seen)
-        return torch.from_numpy(seen).to(self.distance.device)
+            some = max(1, _AT_ONCE // (1 if last else actions.shape[1]))
+            for first in range(0, len(actions), some):
+                part = actions[None, first : first + some]
+                drawn: Tensor = self.world.drawn(start, part, last).flatten(0, 2)
+                yield drawn.clamp(0, 1).to(self.distance.device)
+            return
+        seen = self.world.predict(start[np.zeros(len(actions), np.int64)], actions, **noise)
+        seen = torch.from_numpy(np.ascontiguousarray(seen[:, -1:] if last else seen))
+        for few in torch.split(seen.flatten(0, 1), _AT_ONCE):
+            yield to_unit(few.to(self.distance.device))
 
     def _unit(self, images: NDArray[np.uint8]) -> Tensor:
         return to_unit(torch.from_numpy(np.ascontiguousarray(images)).to(self.distance.device))

@@ -106,23 +106,28 @@ class KeypointWorld(Around):
         self, starts: hvf_core.KeypointFrames, actions: NDArray[np.float32]
     ) -> NDArray[np.uint8]:
         """Predicted frames uint8 `[N, H, S, S, 3]` for `actions [N, H, A]`, to look at."""
-        drawn = self.drawn(starts, actions)
+        drawn = self.drawn(starts, actions[:, None])[:, 0]
         shape = (*drawn.shape[:2], *starts.images.shape[1:])
         return to_frames(drawn.flatten(0, 1)).numpy().reshape(shape)
 
     def drawn(
         self, starts: hvf_core.KeypointFrames, actions: NDArray[np.float32], last: bool = False
     ) -> torch.Tensor:
-        """Predicted images, about in [0, 1], float `[N, H, 3, S, S]`; or the `last` ones only."""
-        path = self.native.rollout(starts, np.ascontiguousarray(actions[:, None]))[:, 0]
-        path = path[:, -1:] if last else path
-        count, horizon = path.shape[:2]
-        images = to_unit(torch.from_numpy(starts.images)).repeat_interleave(horizon, dim=0)
-        before = torch.from_numpy(starts.keypoints).repeat_interleave(horizon, dim=0)
+        """Predicted images, about in [0, 1], float `[B, D, H, 3, S, S]`; or the `last` ones only.
+
+        For `actions [B, D, H, A]`.
+        """
+        path = self.native.rollout(starts, np.ascontiguousarray(actions))
+        path = path[:, :, -1:] if last else path
+        images = to_unit(torch.from_numpy(starts.images))
+        before = torch.from_numpy(starts.keypoints)
+        if len(images) > 1:
+            each = path.shape[1] * path.shape[2]
+            images, before = (part.repeat_interleave(each, dim=0) for part in (images, before))
         with one_thread():
-            points = torch.from_numpy(np.ascontiguousarray(path)).flatten(0, 1)
+            points = torch.from_numpy(np.ascontiguousarray(path)).flatten(0, 2)
             drawn: torch.Tensor = self.dynamics.draw(images, before, points)
-        return drawn.reshape(count, horizon, *drawn.shape[1:])
+        return drawn.reshape(*path.shape[:3], *drawn.shape[1:])
 
 
 class KeypointSubgoals:

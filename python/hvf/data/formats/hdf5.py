@@ -33,13 +33,13 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from hvf.closing import Closing
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats import Format, check_environment
 
@@ -152,7 +152,7 @@ def join_files(path: Path, metadata: Metadata, parts: Sequence[Path]) -> None:
         file.create_dataset("lengths", data=lengths, track_times=False)
 
 
-class EpisodeFile:
+class EpisodeFile(Closing):
     """A file of episodes, open for reading.
 
     Args:
@@ -191,17 +191,6 @@ class EpisodeFile:
         except BaseException:
             self._file.close()
             raise
-
-    def __enter__(self) -> EpisodeFile:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def __len__(self) -> int:
         return self.metadata.episodes

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, cast
 
-import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
@@ -39,8 +38,7 @@ from hvf.envs.desk.tasks import (
     object_success,
 )
 from hvf.envs.goals import checked_goals
-
-Image = NDArray[np.uint8]
+from hvf.envs.shown import Image, ShownEnv
 
 RENDER_MODES = ("human", "rgb_array")
 RENDER_SIZE = 256
@@ -49,7 +47,7 @@ _GOAL_LIMIT = 2.0
 """Openings and heights in goals are clipped to this, m; nothing on or off the desk gets so far."""
 
 
-class DeskEnv(gymnasium.Env[Any, NDArray[np.float32]]):
+class DeskEnv(ShownEnv):
     """A Franka Panda at a desk with a sliding door, a drawer, three buttons and three cubes.
 
     The desk of Nair & Finn (2020), section 6.2, made with
@@ -92,6 +90,7 @@ class DeskEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         RuntimeError: without OpenGL; names the Debian package to install.
     """
 
+    title = "hvf/FrankaDesk-v0: scene and goal"
     metadata = {  # noqa: RUF012
         "render_modes": list(RENDER_MODES),
         "render_fps": round(1 / STEP_SECONDS),
@@ -139,10 +138,8 @@ class DeskEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         self._number = 0
         self._steps = 0
         self._diverged = False
-        self._state: Floats | None = None
         self._episode: Episodes | None = None
         self._goal = np.zeros(shape, np.uint8)
-        self._window: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -222,27 +219,9 @@ class DeskEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         rewards: NDArray[np.float64] = np.asarray(reached, np.float64)
         return cast("np.float64 | NDArray[np.float64]", rewards[()])
 
-    def render(self) -> Image | None:
-        """Scene and goal side by side, uint8 ``[256, 520, 3]``; None in human mode.
-
-        Raises:
-            ResetNeeded: before the first ``reset``.
-        """
-        if self.render_mode is None:
-            gymnasium.logger.warn("render() without a render mode; give make() render_mode=...")
-            return None
-        if self._state is None:
-            raise ResetNeeded("call reset before render")
-        if self.render_mode == "human":
-            self._show()
-            return None
-        return self._picture()
-
     def close(self) -> None:
         """Close the window and give back what OpenGL holds."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
+        super().close()
         self._renderer.close()
         if self._pictures is not None:
             self._pictures.close()
@@ -285,13 +264,6 @@ class DeskEnv(gymnasium.Env[Any, NDArray[np.float32]]):
             "success": bool(done.all()),
             "object_success": dict(zip(("door", *BLOCKS), done.tolist(), strict=True)),
         }
-
-    def _show(self) -> None:
-        from hvf.envs.window import Window
-
-        if self._window is None:
-            self._window = Window("hvf/FrankaDesk-v0: scene and goal", self.metadata["render_fps"])
-        self._window.show(self._picture())
 
 
 def _goal_of(states: Floats) -> Floats:

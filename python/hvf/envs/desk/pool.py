@@ -19,12 +19,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hvf.closing import Closing
 from hvf.cores import cores
 from hvf.envs.desk.opengl import backend
 from hvf.envs.desk.rendering import DeskRenderer, Images, check_image_size
@@ -59,7 +59,7 @@ class Worker:
             raise InterruptedError("the pool is being closed")
 
 
-class DeskPool:
+class DeskPool(Closing):
     """Processes with a simulator and a renderer each. Close it, or use it in a ``with`` block.
 
     Args:
@@ -88,17 +88,6 @@ class DeskPool:
         self._executor = ProcessPoolExecutor(
             self.workers, context, _begin, (image_size, scene, self._stop)
         )
-
-    def __enter__(self) -> DeskPool:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop the processes, also in the middle of their work."""

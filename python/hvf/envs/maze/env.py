@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
@@ -13,13 +12,13 @@ from hvf.envs.maze.task import (
     RENDER_FPS,
     RENDER_MODES,
     Difficulty,
-    Image,
     MazeTask,
     Reward,
 )
+from hvf.envs.shown import Image, ShownEnv
 
 
-class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
+class MazeEnv(ShownEnv):
     """Push a square through the gaps of two walls to where a goal image shows it.
 
     The maze of Nair & Finn (2020), section 6.1, made with ``gymnasium.make("hvf/Maze-v0")``,
@@ -48,6 +47,7 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
     :meth:`MazeTask.episode`.
     """
 
+    title = "hvf/Maze-v0: scene and goal"
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012
 
     def __init__(
@@ -68,10 +68,8 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         self.render_mode = render_mode
         self._seed: int | None = None
         self._episode = 0
-        self._state: NDArray[np.float64] | None = None
         self._target = np.zeros((1, 2))
         self._goal = np.zeros((image_size, image_size, 3), np.uint8)
-        self._window: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -112,29 +110,6 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         reward = float(self.task.rewards(success, distance)[0])
         return self._observe(), reward, info["success"], False, info
 
-    def render(self) -> Image | None:
-        """Scene and goal side by side, uint8 ``[256, 520, 3]``; None in human mode.
-
-        Raises:
-            ResetNeeded: before the first ``reset``.
-        """
-        if self.render_mode is None:
-            gymnasium.logger.warn("render() without a render mode; give make() render_mode=...")
-            return None
-        if self._state is None:
-            raise ResetNeeded("call reset before render")
-        if self.render_mode == "human":
-            self._show()
-            return None
-        picture: Image = self.task.pictures(self._state, self._target)[0]
-        return picture
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
-
     def _observe(self) -> Any:
         assert self._state is not None
         batch = self.task.observations(self._state, self._target)
@@ -154,10 +129,7 @@ class MazeEnv(gymnasium.Env[Any, NDArray[np.float32]]):
             "distance": float(self.task.distances(self._state, self._target)[0]),
         }
 
-    def _show(self) -> None:
-        from hvf.envs.window import Window
-
+    def _picture(self) -> Image:
         assert self._state is not None
-        if self._window is None:
-            self._window = Window("hvf/Maze-v0: scene and goal", RENDER_FPS)
-        self._window.show(self.task.pictures(self._state, self._target)[0])
+        picture: Image = self.task.pictures(self._state, self._target)[0]
+        return picture
