@@ -82,7 +82,9 @@ def test_methods_become_rows_when_the_models_that_they_ask_are_given() -> None:
             assert cell.evaluation.subgoals == count
             assert cell.evaluation.world.method_model == "runs/tap/model.safetensors"
     assert given.options.endswith("--models tap runs/tap/model.safetensors")
-    with pytest.raises(ValueError, match=r"models: methods ask layers-proposals, rig, tap; got 'sv2p'"):
+    with pytest.raises(
+        ValueError, match=r"models: methods ask layers-proposals, rig, tap; got 'sv2p'"
+    ):
         Setup("maze", models=(("sv2p", "runs/sv2p/model.safetensors"),))
 
 

@@ -129,15 +129,16 @@ class LayersRecipe(Recipe):
 
         What is fitted is kept in the run's folder and read from there when the run goes on.
         """
-        seed = self.loop.seed
-        self.check(data)
+        seed, config = self.loop.seed, self.model
         if self.perception is None:
-            config, settings = self.model, self._arm_settings
+            self.check(data, config)
+            settings = self._arm_settings
             perception = yield from self._arm(data)
         else:
             given = load_model(self.perception, LayerDynamics, environment=data.environment)
             perception = given.perception
-            config = dataclasses.replace(self.model, perception=given.config.perception)
+            config = dataclasses.replace(config, perception=perception.config)
+            self.check(data, config)
             settings = {"perception": checksum(perception)}
         with torch.inference_mode():
             seen = torch.from_numpy(data.held_out.frames[:, 0]).to(perception.sprites.device)
@@ -190,15 +191,15 @@ class LayersRecipe(Recipe):
         pool.close()
         return perception
 
-    def check(self, data: TrainingData) -> None:
-        """Refuse data that the model cannot be trained on.
+    def check(self, data: TrainingData, model: LayerDynamicsConfig) -> None:
+        """Refuse data that ``model`` cannot be trained on.
 
         Raises:
             ValueError: images or actions of other sizes, or episodes that are too short.
         """
         with open_episodes(data.path) as file:
             refuse_unequal(file)
-        config, steps = self.model.perception, data.metadata.steps
+        config, steps = model.perception, data.metadata.steps
         size = (config.image_size, config.image_size)
         if self.length > steps:
             raise ValueError(f"length must be from 1 to {steps} for {data.path}, got {self.length}")
