@@ -38,7 +38,7 @@ class SpatialRecipe(Recipe):
     memory_gb: float = 2.0
     model: SpatialConfig = SpatialConfig()
     loop: LoopConfig = LoopConfig(
-        steps=12_000,
+        steps=10_000,
         learning_rate=1.5e-3,
         schedule="cosine",
         warmup_steps=300,
