@@ -165,6 +165,7 @@ def joining(choose: Choose) -> Frames:
 class Generator:
     def __init__(self, choose: Choose, frames: Any) -> None:
         self.answer = lambda sensible: either(choose, sensible)
+        self.choose = choose
         self.frames = frames
         self.latent_dim = either(choose, 2, SETTINGS)
 
@@ -173,6 +174,13 @@ class Generator:
 
     def segment_costs(self, scene: Any, goal: Any, latents: Any) -> Any:
         return self.answer(np.abs(latents).sum(axis=2).repeat(2, axis=1)[:, : latents.shape[1] + 1])
+
+    def proposals(self, start: Any, goal: Any, subgoals: int) -> Any:
+        """Some, now and then."""
+        if self.choose(3):
+            return None
+        mean = np.zeros((subgoals, 2), np.float32)
+        return self.answer((self.answer(mean), self.answer(mean + 1)))
 
 
 # --- calls ------------------------------------------------------------------------------------

@@ -82,7 +82,9 @@ def test_methods_become_rows_when_the_models_that_they_ask_are_given() -> None:
             assert cell.evaluation.subgoals == count
             assert cell.evaluation.world.method_model == "runs/tap/model.safetensors"
     assert given.options.endswith("--models tap runs/tap/model.safetensors")
-    with pytest.raises(ValueError, match=r"models: methods ask rig, tap; got 'sv2p'"):
+    with pytest.raises(
+        ValueError, match=r"models: methods ask layers-proposals, rig, tap; got 'sv2p'"
+    ):
         Setup("maze", models=(("sv2p", "runs/sv2p/model.safetensors"),))
 
 
@@ -95,6 +97,22 @@ def test_choices_at_the_desk_differ_in_what_counts_only() -> None:
         assert default in cells
         for cell in cells:
             assert differences(cell, default).keys() <= {"scene_weight", "reduction"}
+
+
+def test_rows_of_proposals_differ_in_where_and_how_long_the_search_is() -> None:
+    (table,) = tables(Setup("desk", "default", split="validation"), ["proposals"])
+    budget = {"subgoal_samples", "subgoal_elites", "subgoal_iterations"}
+    for column, (task, count) in enumerate(
+        (("two_block", 1), ("door_block", 1), ("door_two_block", 2))
+    ):
+        cells = [row[column].evaluation for row in table.rows.values()]
+        assert len(set(cells)) == len(cells) == 5
+        default = Evaluation.of("desk", task=task, subgoals=count)
+        assert default in cells
+        for cell in cells:
+            assert cell is not None
+            assert (cell.task, cell.subgoals) == (task, count)
+            assert differences(cell, default).keys() <= budget
 
 
 def test_rows_of_video_models_differ_in_method_and_budget_only() -> None:

@@ -202,6 +202,72 @@ def test_a_search_by_likelihood_needs_a_generator_that_knows() -> None:
         search.search(PointMass(), judge, START, GOAL)
 
 
+class Proposing(Judge):
+    """Proposes what it is told to."""
+
+    def __init__(self, answer: Any) -> None:
+        super().__init__()
+        self.answer = answer
+        self.asked: list[tuple[Floats, Floats, int]] = []
+
+    def proposals(self, start: Floats, goal: Floats, subgoals: int) -> Any:
+        self.asked.append((start, goal, subgoals))
+        return self.answer
+
+
+@pytest.mark.parametrize("cost", ["planned", "likelihood"])
+def test_a_search_begins_at_the_proposals_of_its_generator(
+    cost: Literal["planned", "likelihood"],
+) -> None:
+    search = HVF(mpc=SMALL, samples=24, elites=5, iterations=2, segment_cost=cost)
+    mean = np.array([[0.25, -0.5], [1.0, 2.0]], np.float32)
+    std = np.array([[0.5, 0.25], [2.0, 0.125]], np.float32)
+    for answer in [(mean, std), (torch.tensor(mean, requires_grad=True), std.tolist())]:
+        proposing = Proposing(answer)
+        assert isinstance(proposing, protocols.Proposing)
+        search.search(PointMass(), proposing, START, GOAL, seed=3)
+        prior = Proposing(None)
+        search.search(PointMass(), prior, START, GOAL, seed=3)
+        which = 1 if cost == "planned" else 0
+        first, drawn = (each.calls[0][which] for each in (prior, proposing))
+        np.testing.assert_allclose(
+            drawn.reshape(24, 2, 2), mean + std * first.reshape(24, 2, 2), rtol=1e-6
+        )
+        ((start, goal, subgoals),) = proposing.asked
+        np.testing.assert_array_equal(start, START)
+        np.testing.assert_array_equal(goal, GOAL)
+        assert subgoals == 2
+
+
+def test_a_generator_that_proposes_nothing_or_the_prior_is_searched_from_the_prior() -> None:
+    search = HVF(mpc=SMALL, samples=24, elites=5, iterations=3, segment_cost="likelihood")
+    expected = search.search(PointMass(), Judge(), START, GOAL, seed=3)
+    for answer in (None, (np.zeros((2, 2)), np.ones((2, 2)))):
+        same(expected, search.search(PointMass(), Proposing(answer), START, GOAL, seed=3))
+    judge = Judge()
+    judge.proposals = None  # type: ignore[attr-defined]
+    same(expected, search.search(PointMass(), judge, START, GOAL, seed=3))
+
+
+@pytest.mark.parametrize(
+    ("answer", "kind", "said"),
+    [
+        (3, TypeError, r"^generator: proposals must return None or a tuple \(mean, std\), got"),
+        ((np.zeros((2, 2)),) * 3, TypeError, r"^generator: proposals must return None or a tuple"),
+        ((np.zeros((3, 2)), np.ones((2, 2))), ValueError, r"latents \[K, L\] = \[2, 2\], got"),
+        ((np.zeros((2, 2)), "wide"), ValueError, r"latents \[K, L\] = \[2, 2\], got"),
+        ((np.full((2, 2), np.nan), np.ones((2, 2))), ValueError, "mean must be finite, got NaN"),
+        ((np.zeros((2, 2)), -np.ones((2, 2))), ValueError, "std must be finite and not negative"),
+    ],
+)
+def test_proposals_that_are_none_are_one_clear_error(
+    answer: Any, kind: type[Exception], said: str
+) -> None:
+    search = HVF(mpc=SMALL, samples=24, elites=5, segment_cost="likelihood")
+    with pytest.raises(kind, match=said):
+        search.search(PointMass(), Proposing(answer), START, GOAL)
+
+
 def same(a: hvf_core.SearchResult, b: hvf_core.SearchResult) -> None:
     np.testing.assert_array_equal(a.latents, b.latents)
     np.testing.assert_array_equal(a.segment_costs, b.segment_costs)

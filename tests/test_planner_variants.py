@@ -53,8 +53,10 @@ def test_a_plan_equals_a_numpy_cem_over_the_candidates_the_model_saw(
     mean, std = np.zeros(6), np.full(6, 1 / np.sqrt(3))
     kept, kept_costs, best = np.empty((0, 6)), np.empty(0), []
     for iteration, (_, _, actions, costs) in enumerate(calls):
-        count = max(40 / options["samples_decay"] ** iteration, 16)
-        assert actions.shape[1] == int(count + 1e-9)
+        count = 40.0
+        for _ in range(iteration):
+            count /= options["samples_decay"]
+        assert actions.shape[1] == int(max(count, 16))
         pool = np.concatenate([kept, actions[0].reshape(-1, 6)])
         pool_costs = np.concatenate([kept_costs, costs[0]])
         order = np.argsort(pool_costs, kind="stable")[:8]

@@ -33,7 +33,9 @@ __all__ = [
     "Policy",
     "Preparer",
     "Privileged",
+    "Proposals",
     "Proposer",
+    "Proposing",
     "Remembering",
     "RolloutSharer",
     "SubgoalModel",
@@ -244,6 +246,43 @@ class Judging(SubgoalModel[F_contra], Protocol):
             Float32 ``[M, K + 1]``: from the start to the first subgoal, from each to the next, and
             from the last to the goal. Negative log-likelihoods (nats), or anything that grows with
             the time that a segment takes. NaN ranks last.
+        """
+        ...
+
+
+@runtime_checkable
+class Proposing(SubgoalModel[F_contra], Protocol):
+    """A generator that says where in its latent subgoals on the way to a goal are likely.
+
+    A search begins there in place of the standard normal prior (:class:`hvf_core.HVF`).
+    """
+
+    def proposals(
+        self, start: F_contra, goal: F_contra, subgoals: int
+    ) -> tuple[ArrayLike, ArrayLike] | None:
+        """Propose subgoals, once a search.
+
+        Args:
+            start: One frame of the world model, ``[1]``.
+            goal: One frame, ``[1]``.
+            subgoals: how many, ``K``.
+
+        Returns:
+            Means and standard deviations (not negative) of a Gaussian over the latents of all,
+            float32 ``[K, L]`` each; or None, for the prior.
+        """
+        ...
+
+
+@runtime_checkable
+class Proposals(Protocol):
+    """Trained proposals for a generator that is not known yet."""
+
+    def of(self, generator: Any) -> Proposing[Any]:
+        """Return the generator with these proposals.
+
+        Raises:
+            ValueError: a generator that they are not for.
         """
         ...
 

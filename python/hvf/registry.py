@@ -106,6 +106,7 @@ MODELS: Registry[ModelEntry] = Registry(
         "temporal-distance": "hvf.models.catalogue:TEMPORAL_DISTANCE",
         "layers": "hvf.models.catalogue:LAYERS",
         "layers-generator": "hvf.models.catalogue:LAYERS_GENERATOR",
+        "layers-proposals": "hvf.models.catalogue:LAYERS_PROPOSALS",
         "cvae": "hvf.models.catalogue:CVAE",
         "vae": "hvf.models.catalogue:VAE",
         "sv2p": "hvf.models.catalogue:SV2P",
@@ -125,6 +126,8 @@ METHODS: Registry[Method] = Registry(
     {
         "none": "hvf.agents.method:NONE",
         "hvf": "hvf.agents.method:HVF",
+        "hvf-proposals": "hvf.agents.method:HVF_PROPOSALS",
+        "amortised": "hvf.agents.method:AMORTISED",
         "tap": "hvf.agents.method:TAP",
         "ground-truth": "hvf.agents.method:GROUND_TRUTH",
         "rig": "hvf.agents.method:RIG",

@@ -120,6 +120,8 @@ class Planning:
         over_horizon: predicted frames that count: the last (the paper's), their sum or minimum.
         scene_weight: how often the distance of what is behind the arm counts, beside that of whole
             frames; for dynamics that tell the two apart (layers), no other has a use for it.
+        subgoal_draws: draws of proposed subgoals, where there is no search, of which the best is
+            taken; 1 for the mean.
         subgoal_samples: subgoal samples per iteration (M).
         subgoal_elites: of which the best are kept (M*).
         subgoal_iterations: iterations of the search for subgoals.
@@ -170,6 +172,7 @@ class Planning:
     blur: float = 0.0
     over_horizon: OverHorizon = "last"
     scene_weight: float = 0.0
+    subgoal_draws: int = 128
     subgoal_samples: int = 200
     subgoal_elites: int = 40
     subgoal_iterations: int = 5
@@ -202,6 +205,8 @@ class Planning:
             )
         if self.shift_elites and not self.warm_start:
             raise ValueError("shift_elites: belongs to warm_start, which is off")
+        if self.subgoal_draws < 1:
+            raise ValueError(f"subgoal_draws: must be at least 1, got {self.subgoal_draws}")
         if self.steps is not None and self.steps < 1:
             raise ValueError(f"steps: must be at least 1, got {self.steps}")
 

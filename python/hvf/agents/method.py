@@ -6,6 +6,7 @@ entry point of the group ``hvf.methods``.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,8 +17,17 @@ from numpy.typing import NDArray
 from hvf.agents.planning import PlanningAgent
 from hvf.agents.policy import PolicyAgent
 from hvf.agents.random import RandomAgent
-from hvf.agents.subgoals import Searched, ground_truth, no_subgoals, proposed
-from hvf.protocols import Agent, Policy, Proposer, SubgoalModel, SubgoalSource, WorldModel
+from hvf.agents.subgoals import Amortised, Searched, ground_truth, no_subgoals, proposed
+from hvf.protocols import (
+    Agent,
+    Policy,
+    Proposals,
+    Proposer,
+    Proposing,
+    SubgoalModel,
+    SubgoalSource,
+    WorldModel,
+)
 from hvf.settings import Planning
 
 
@@ -32,8 +42,9 @@ class Means:
         action_high: highest action, float32 ``[A]``.
         world: what it plans with; None for a method that needs no dynamics.
         generator: what draws subgoals; None for a method that needs none.
-        model: what the method asks of its own: a :class:`~hvf.protocols.Proposer`, a
-            :class:`~hvf.protocols.Policy`; None for a method that asks nothing.
+        model: what the method asks of its own: a :class:`~hvf.protocols.Proposer`,
+            :class:`~hvf.protocols.Proposals`, a :class:`~hvf.protocols.Policy`; None for
+            a method that asks nothing.
         privileged: plans start from frames of the trials (:class:`hvf.protocols.Privileged`) and
             not from what is observed.
     """
@@ -96,6 +107,31 @@ def _search(means: Means) -> Agent:
     return means.planner(Searched(search, means.subgoals, means.world, means.generator))
 
 
+def _proposing(means: Means) -> Proposing[Any]:
+    """The generator with the proposals of the method's model."""
+    if means.generator is None:
+        raise ValueError("generator: proposals of subgoals need a model that draws them")
+    if not isinstance(means.model, Proposals):
+        raise ValueError("method_model: a method that asks for proposals needs a model of them")
+    return means.model.of(means.generator)
+
+
+def _search_from_proposals(means: Means) -> Agent:
+    if not means.subgoals:
+        return means.planner(no_subgoals)
+    return _search(dataclasses.replace(means, generator=_proposing(means)))
+
+
+def _amortised(means: Means) -> Agent:
+    if not means.subgoals:
+        return means.planner(no_subgoals)
+    if means.world is None:
+        raise ValueError("world: subgoals are drawn in the frames of dynamics")
+    planning, generator = means.planning, _proposing(means)
+    draws = planning.subgoal_draws
+    return means.planner(Amortised(planning.search, means.subgoals, means.world, generator, draws))
+
+
 def _proposal(means: Means) -> Agent:
     if not means.subgoals:
         return means.planner(no_subgoals)
@@ -121,6 +157,22 @@ HVF = Method(
     _search,
     needs_generator=True,
     has_subgoals=True,
+)
+HVF_PROPOSALS = Method(
+    "hierarchical visual foresight whose search begins where a network proposes",
+    "HVF-{} from proposals",
+    _search_from_proposals,
+    needs_generator=True,
+    has_subgoals=True,
+    asks="layers-proposals",
+)
+AMORTISED = Method(
+    "amortised subgoals: the best of a few draws that a network proposes, without a search",
+    "amortised-{}",
+    _amortised,
+    needs_generator=True,
+    has_subgoals=True,
+    asks="layers-proposals",
 )
 TAP = Method(
     "time-agnostic prediction: proposes subgoal images without a search, then plans to each",

@@ -11,7 +11,9 @@ from hvf.agents.frames import observed
 from hvf.protocols import (
     Frames,
     Images,
+    Judging,
     Proposer,
+    Proposing,
     SubgoalModel,
     SubgoalSource,
     Trials,
@@ -96,6 +98,52 @@ class Searched:
             self._world, self._generator, start, goal, seed, progress=self.progress
         )
         frames: Frames = found.subgoals
+        return frames
+
+
+class Amortised(Searched):
+    """Subgoals of a network that proposes them, without a search (paper, future work).
+
+    Some are drawn of what the generator proposes, and the best of them by its own word is taken:
+    what a search's first iteration is, with a hundredth of its samples.
+
+    Args:
+        search: whose reduction of segments counts, for a number of subgoals.
+        count: subgoals at the start, ``K``.
+        world: what it plans with.
+        generator: draws and proposes.
+        draws: draws, the first of which are the means; of a generator that cannot tell them apart
+            (:class:`~hvf.protocols.Judging`) it is the only one.
+    """
+
+    def __init__(
+        self,
+        search: Callable[[int], HVF],
+        count: int,
+        world: WorldModel[Any],
+        generator: Proposing[Any],
+        draws: int,
+    ) -> None:
+        super().__init__(search, count, world, generator)
+        self._proposing, self._draws = generator, draws
+
+    def _found(self, start: Any, goal: Any, seed: int, count: int) -> Frames:
+        generator = self._proposing
+        found = generator.proposals(start, goal, count) if count else None
+        if found is None:
+            # Nothing to be asked, or the generator's prior.
+            return super()._found(start, goal, seed, count)
+        mean, std = (np.asarray(each, np.float32) for each in found)
+        best = mean
+        if isinstance(generator, Judging) and self._draws > 1:
+            noise = np.random.default_rng(seed).standard_normal((self._draws, *mean.shape))
+            noise[0] = 0.0
+            latents = mean + std * noise.astype(np.float32)
+            segments = np.asarray(generator.segment_costs(start, goal, latents))
+            mean_counts = self._search(count).reduction == "mean"
+            hard = segments.mean(axis=1) if mean_counts else segments.max(axis=1)
+            best = latents[np.argmin(np.where(np.isnan(hard), np.inf, hard))]
+        frames: Frames = generator.decode(start, best[None])
         return frames
 
 

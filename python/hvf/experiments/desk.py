@@ -27,6 +27,17 @@ _CHOICES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
 }
 
 
+_SMALL: Mapping[str, Any] = {"subgoal_samples": 128, "subgoal_elites": 12, "subgoal_iterations": 3}
+
+_PROPOSALS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "HVF": ("hvf", {}),
+    "HVF from proposals": ("hvf-proposals", {}),
+    "HVF, M = 128, 3 iterations": ("hvf", _SMALL),
+    "HVF from proposals, M = 128, 3 iterations": ("hvf-proposals", _SMALL),
+    "128 proposals, no search": ("amortised", {}),
+}
+
+
 _WAYS = (Way("default"), Way("video"))
 """What the paper's numbers are judged beside: settings, with what they plan with."""
 
@@ -36,6 +47,7 @@ def desk(setup: Setup) -> list[PaperTable]:
     return [
         *_published(setup),
         _choices(setup),
+        _proposals(setup),
         _video(setup),
         *judging(setup, _WAYS, _published, _claims()),
     ]
@@ -78,6 +90,12 @@ def _choices(setup: Setup) -> PaperTable:
     """What a frame costs in acting, and how segments are reduced in the search."""
     title = "What counts, in acting and in the search for subgoals"
     return _of_tasks(setup, "choices", title, "choice", _CHOSEN, _CHOICES)
+
+
+def _proposals(setup: Setup) -> PaperTable:
+    """What proposals by a network are worth to the search, and without it."""
+    title = "Subgoals that a network proposes"
+    return _of_tasks(setup, "proposals", title, "subgoals", _CHOSEN, _PROPOSALS)
 
 
 def _of_tasks(

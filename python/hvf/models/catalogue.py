@@ -75,6 +75,16 @@ LAYERS_GENERATOR = ModelEntry(
     formerly=("DeskGenerator",),
 )
 
+LAYERS_PROPOSALS = ModelEntry(
+    about="Proposals of subgoals for the layers generator: which change comes next, by network.",
+    kind="object",
+    role="proposals",
+    module="hvf.models.layers.proposals:LayerProposals",
+    plannable="hvf.worlds.layers_proposals:proposals_of",
+    recipe="hvf.training.recipes.layers_proposals:LayersProposalsRecipe",
+    assumes="what the layers generator assumes, whose latents it proposes",
+)
+
 CVAE = ModelEntry(
     about="The paper's generator of subgoal images: a CVAE given an image of the scene (the maze).",
     kind="video",

@@ -10,9 +10,10 @@ from typing import Any, Literal, TypeAlias
 
 from hvf.importing import imported
 
-Role: TypeAlias = Literal["dynamics", "generator", "distance", "proposer", "policy"]
-"""What a model is good for: predicting frames, drawing subgoals to search among, measuring how far
-they are, proposing subgoals without a search, or acting without a plan."""
+Role: TypeAlias = Literal["dynamics", "generator", "proposals", "distance", "proposer", "policy"]
+"""What a model is good for: predicting frames, drawing subgoals to search among, saying which of a
+generator's latents lie on the way to a goal, measuring how far frames are, proposing subgoals
+without a search, or acting without a plan."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,9 @@ class ModelEntry:
         module: the ``torch.nn.Module``, with ``config_type``; checkpoints name its class.
         plannable: makes what the planner wants of a loaded module: ``plannable(module, planning)``
             for dynamics gives a :class:`~hvf.protocols.WorldModel`; ``plannable(module, world)``
-            for a generator a :class:`~hvf.protocols.SubgoalModel`, for a distance a
+            for a generator a :class:`~hvf.protocols.SubgoalModel`; ``plannable(module)`` for
+            proposals :class:`~hvf.protocols.Proposals`; ``plannable(module, world)`` for a
+            distance a
             :class:`~hvf.protocols.WorldModel` around ``world`` (see :mod:`hvf.worlds.costs`);
             ``plannable(module)`` for a proposer a :class:`~hvf.protocols.Proposer`, for a policy
             a :class:`~hvf.protocols.Policy`.

@@ -17,7 +17,9 @@ pub mod sampler;
 pub mod search;
 
 pub use cem::{BestOf, CemConfig, Covariance, IterationStats};
-pub use model::{ActionSpace, Candidates, Frames, SharedCandidates, SubgoalModel, WorldModel};
+pub use model::{
+    ActionSpace, Candidates, Frames, Proposals, SharedCandidates, SubgoalModel, WorldModel,
+};
 pub use mpc::{ActionInitial, Interrupt, MpcConfig, Plan, Problems, WarmStart};
 pub use search::{
     search, search_batch, HvfConfig, Progress, Reduction, SearchResult, SearchStats, SegmentCost,

@@ -215,6 +215,15 @@ pub trait WorldModel {
     }
 }
 
+/// Where subgoals on the way to a goal are likely: a diagonal Gaussian over the latents of all.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Proposals {
+    /// Means, `[K, L]`.
+    pub mean: Array2<f32>,
+    /// Standard deviations, `[K, L]`.
+    pub std: Array2<f32>,
+}
+
 /// Draws images that are possible in a scene, from latents.
 pub trait SubgoalModel<F: Frames> {
     /// Latent dimensions of one image, `L`.
@@ -239,5 +248,14 @@ pub trait SubgoalModel<F: Frames> {
             "segment_cost",
             "'likelihood' asks the generator's segment_costs, and this one has none",
         ))
+    }
+
+    /// Where a search for `subgoals` subgoals between `start[1]` and `goal[1]` begins, in place of
+    /// the standard normal prior; `None` for that. Asked once a search.
+    ///
+    /// # Errors
+    /// Whatever keeps the model from answering.
+    fn proposals(&self, _start: &F, _goal: &F, _subgoals: usize) -> Result<Option<Proposals>> {
+        Ok(None)
     }
 }

@@ -4,18 +4,19 @@ use hvf_core_rs::keypoint::KeypointWorld;
 use hvf_core_rs::latent::{LatentFrames, LatentWorld};
 use hvf_core_rs::layers::LayerWorld;
 use hvf_core_rs::maze::{MazeFrames, MazeWorld};
-use hvf_core_rs::planner::{SubgoalModel, WorldModel};
+use hvf_core_rs::planner::{Proposals, SubgoalModel, WorldModel};
 use hvf_core_rs::{Error, Result};
 use ndarray::{Array2, Array3};
 use numpy::{dtype, PyArray3, PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
+use pyo3::types::PyTuple;
 use pyo3::{PyClass, PyTypeInfo};
 
 use super::pace::Paced;
 use super::raised;
-use super::returned_costs::read_costs;
+use super::returned_costs::{read_costs, read_numbers};
 use crate::arguments::{describe, Whole};
 use crate::error::to_py;
 use crate::keypoint::{PyKeypointFrames, PyKeypointWorld};
@@ -316,6 +317,41 @@ impl<B: Border> SubgoalModel<FramesOf<B>> for Generator<'_, B> {
             let costs = ask.call1((start, goal, PyArray3::from_owned_array(py, latents)))?;
             let expected = (samples, subgoals + 1);
             read_costs(object, "segment_costs", &costs, "[M, K + 1]", expected)
+        })
+        .map_err(raised)
+    }
+
+    fn proposals(
+        &self,
+        start: &FramesOf<B>,
+        goal: &FramesOf<B>,
+        subgoals: usize,
+    ) -> Result<Option<Proposals>> {
+        Python::attach(|py| {
+            let object = self.object.bind(py);
+            let ask = object.getattr_opt(intern!(py, "proposals"))?;
+            let Some(ask) = ask.filter(|ask| !ask.is_none()) else {
+                return Ok(None);
+            };
+            let start = self.border.write(py, start.clone())?;
+            let goal = self.border.write(py, goal.clone())?;
+            let found = ask.call1((start, goal, subgoals))?;
+            if found.is_none() {
+                return Ok(None);
+            }
+            let both = found.cast::<PyTuple>().ok().filter(|both| both.len() == 2);
+            let Some(both) = both else {
+                return Err(PyTypeError::new_err(format!(
+                    "generator: proposals must return None or a tuple (mean, std), got {}",
+                    describe(&found)
+                )));
+            };
+            let read = |place| {
+                let expected = (subgoals, self.latent_dim);
+                let values = both.get_item(place)?;
+                read_numbers(object, "proposals", "latents", &values, "[K, L]", expected)
+            };
+            Ok(Some(Proposals { mean: read(0)?, std: read(1)? }))
         })
         .map_err(raised)
     }

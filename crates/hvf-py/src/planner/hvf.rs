@@ -24,11 +24,12 @@ use crate::threads::detached;
 
 /// Hierarchical visual foresight: the search for subgoal images.
 ///
-/// The cross-entropy method over the latents of `subgoals` images, from a standard normal. A
-/// sample costs what the hardest of its `subgoals + 1` segments costs to plan with `mpc` (paper,
-/// section 4 and algorithm 2). Subgoals, latents, cost and plans of the answer are of one sample;
-/// how segments are planned is for the options of `mpc` to say. Objects are immutable, compare and
-/// hash by value, and can be copied and pickled.
+/// The cross-entropy method over the latents of `subgoals` images, from a standard normal, or from
+/// what the generator proposes (`hvf.protocols.Proposing`). A sample costs what the hardest of its
+/// `subgoals + 1` segments costs to plan with `mpc` (paper, section 4 and algorithm 2). Subgoals,
+/// latents, cost and plans of the answer are of one sample; how segments are planned is for the
+/// options of `mpc` to say. Objects are immutable, compare and hash by value, and can be
+/// copied and pickled.
 ///
 /// Args:
 ///     mpc: How a segment is planned; None for `VisualMPC()`.

@@ -1,4 +1,4 @@
-//! Costs, of candidates `[B, D]` or of segments `[M, K + 1]`, out of what a model written in Python returned.
+//! Costs, of candidates `[B, D]` or of segments `[M, K + 1]`, and proposals, out of what a model written in Python returned.
 //!
 //! A float32 array is copied once (4 bytes per candidate), since the model may go on writing to
 //! it. Tensors are detached from their graph and moved to the host by the methods that they have
@@ -25,14 +25,29 @@ pub fn read_costs(
     axes: &str,
     expected: (usize, usize),
 ) -> PyResult<Array2<f32>> {
+    read_numbers(model, method, "costs", returned, axes, expected)
+}
+
+/// The same for other numbers, which are called `what`.
+///
+/// # Errors
+/// As [`read_costs`].
+pub fn read_numbers(
+    model: &Bound<'_, PyAny>,
+    method: &str,
+    what: &str,
+    returned: &Bound<'_, PyAny>,
+    axes: &str,
+    expected: (usize, usize),
+) -> PyResult<Array2<f32>> {
     let wrong = |found: String| match model.get_type().name() {
         Ok(model) => PyValueError::new_err(format!(
-            "model {model}: {method} must return float32 costs {axes} = [{}, {}], got {found}",
+            "model {model}: {method} must return float32 {what} {axes} = [{}, {}], got {found}",
             expected.0, expected.1
         )),
         Err(exception) => exception,
     };
-    if let Ok(costs) = array::<f32, Ix2>(method, returned, "costs") {
+    if let Ok(costs) = array::<f32, Ix2>(method, returned, what) {
         return match costs.as_array() {
             view if view.dim() == expected => Ok(view.to_owned()),
             _ => Err(wrong(describe(returned))),
@@ -49,7 +64,7 @@ pub fn read_costs(
     if !["f", "i", "u"].contains(&kind.as_str()) || shape != [expected.0, expected.1] {
         return Err(wrong(describe(&costs)));
     }
-    numbers(method, &costs, "costs")
+    numbers(method, &costs, what)
 }
 
 /// What a model returned as a NumPy array.

@@ -117,6 +117,7 @@ DESK = Domain(
     weights={
         "layers": WEIGHTS / "desk_dynamics.safetensors",
         "layers-generator": WEIGHTS / "desk_generator.safetensors",
+        "layers-proposals": WEIGHTS / "desk_proposals.safetensors",
         "latent": WEIGHTS / "desk_latent.safetensors",
         "cvae": WEIGHTS / "desk_cvae.safetensors",
     },

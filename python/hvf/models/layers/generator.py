@@ -103,7 +103,10 @@ class LayerGenerator(nn.Module):
 
     def decode(self, latents: Tensor, scenes: Tensor) -> Tensor:
         """States `[N, X]` for `latents [N, L]` in scenes of states `scenes [N, X]`."""
-        states = self.rebuild(latents, scenes)
+        return self.decided(self.rebuild(latents, scenes), scenes)
+
+    def decided(self, states: Tensor, scenes: Tensor) -> Tensor:
+        """What :meth:`rebuild` says, `[N, X]`, once it is decided what moves and what is there."""
         fixed, parts = states[:, : -3 * self.config.roaming], self._parts(states)
         hand = fixed[:, : self.config.action_dim]
         was = scenes[:, self.config.action_dim : fixed.shape[1]]

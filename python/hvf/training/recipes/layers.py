@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from hvf.data.formats import open_episodes
 from hvf.data.loader import EpisodePool, WindowSampler
 from hvf.images import frame_grid
+from hvf.models.checkpoint import load_model
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.image_quality import image_psnr
 from hvf.models.layers.dynamics import LayerDynamics, LayerDynamicsConfig
@@ -21,7 +23,7 @@ from hvf.training.loop import LoopConfig, Validation, seeded
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
 from hvf.training.state import fitted
 from hvf.training.tracks.kept import checksum, refuse_unequal
-from hvf.training.tracks.layers import LayerSampler, LayerTracks
+from hvf.training.tracks.layers import PUSHED_SHARE, SLID_SHARE, LayerSampler, LayerTracks
 
 # Colours are found in this many pairs of frames, ten steps apart.
 _PAIRS = 3000
@@ -74,6 +76,9 @@ class LayersRecipe(Recipe):
         windows: stretches of states per step while the cell is trained.
         length: steps in a stretch.
         short_steps: the first of the cell's steps see more and shorter stretches.
+        pushed: share of the stretches in which a part is pushed.
+        perception: trained layers dynamics whose perception is taken over, so that only the cell is
+            trained.
         model: the networks. Their widths in pixels are for images of one size, so the size of
             images is not taken from the data.
         arm_loop: how to optimise encoder and drawing of the arm.
@@ -106,6 +111,8 @@ class LayersRecipe(Recipe):
     windows: int = 128
     length: int = 15
     short_steps: int = 7500
+    pushed: float = PUSHED_SHARE
+    perception: Path | None = None
     model: LayerDynamicsConfig = LayerDynamicsConfig()
     arm_loop: LoopConfig = _ARM_LOOP
     loop: LoopConfig = _LOOP
@@ -113,6 +120,8 @@ class LayersRecipe(Recipe):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.at_least_one("episodes", "arm_batch", "windows", "length")
+        if not 0 <= self.pushed <= 1 - SLID_SHARE:
+            raise ValueError(f"pushed must be from 0 to {1 - SLID_SHARE:.2f}, got {self.pushed}")
         self.positive("memory_gb")
 
     def stages(self, data: TrainingData) -> Stages:
@@ -120,25 +129,21 @@ class LayersRecipe(Recipe):
 
         What is fitted is kept in the run's folder and read from there when the run goes on.
         """
-        seed = self.loop.seed
-        self.check(data)
-        pool = data.pool(self.memory_gb)
-        settings: dict[str, Any] = {"memory_gb": self.memory_gb, "arm_batch": self.arm_batch}
-        perception = yield Stage(
-            self._fit_perception(data, pool),
-            WindowSampler(pool, self.arm_batch, 1, seed),
-            self.arm_loop,
-            "arm: what an action moves, and what that looks like",
-            folder="perception",
-            settings=settings,
-            validate=lambda model, _: validate_arm(model, data.held_out),
-        )
-        self._fit_gallery(data, pool, perception)
-        pool.close()
+        seed, config = self.loop.seed, self.model
+        if self.perception is None:
+            self.check(data, config)
+            settings = self._arm_settings
+            perception = yield from self._arm(data)
+        else:
+            given = load_model(self.perception, LayerDynamics, environment=data.environment)
+            perception = given.perception
+            config = dataclasses.replace(config, perception=perception.config)
+            self.check(data, config)
+            settings = {"perception": checksum(perception)}
         with torch.inference_mode():
             seen = torch.from_numpy(data.held_out.frames[:, 0]).to(perception.sprites.device)
             perception.check(seen)
-        model = seeded(seed, lambda: LayerDynamics(self.model)).freeze_perception(perception)
+        model = seeded(seed, lambda: LayerDynamics(config)).freeze_perception(perception)
         episodes = min(self.episodes, data.training)
         tracks = LayerTracks(
             data.path, perception, episodes, console=data.console, camera=data.camera
@@ -146,7 +151,7 @@ class LayersRecipe(Recipe):
         model.fit_contact(*map(torch.from_numpy, tracks.contacts()))
         yield Stage(
             model,
-            LayerSampler(tracks, self.windows, self.length, self.short_steps, seed),
+            LayerSampler(tracks, self.windows, self.length, self.short_steps, seed, self.pushed),
             self.loop,
             "cell: how hand, sliders and parts move",
             settings={
@@ -155,20 +160,46 @@ class LayersRecipe(Recipe):
                 "windows": self.windows,
                 "length": self.length,
                 "short_steps": self.short_steps,
-                "arm_steps": self.arm_loop.steps,
+                "pushed": self.pushed,
             },
             validate=lambda trained, _: validate_layers(trained, data.held_out),
         )
 
-    def check(self, data: TrainingData) -> None:
-        """Refuse data that the model cannot be trained on.
+    @property
+    def _arm_settings(self) -> dict[str, Any]:
+        """What else the perception is a function of."""
+        return {
+            "memory_gb": self.memory_gb,
+            "arm_batch": self.arm_batch,
+            "arm_steps": self.arm_loop.steps,
+        }
+
+    def _arm(self, data: TrainingData) -> Generator[Stage, Any, LayerPerception]:
+        """Perception, fitted and trained."""
+        seed = self.loop.seed
+        pool = data.pool(self.memory_gb)
+        perception: LayerPerception = yield Stage(
+            self._fit_perception(data, pool),
+            WindowSampler(pool, self.arm_batch, 1, seed),
+            self.arm_loop,
+            "arm: what an action moves, and what that looks like",
+            folder="perception",
+            settings={"memory_gb": self.memory_gb, "arm_batch": self.arm_batch},
+            validate=lambda model, _: validate_arm(model, data.held_out),
+        )
+        self._fit_gallery(data, pool, perception)
+        pool.close()
+        return perception
+
+    def check(self, data: TrainingData, model: LayerDynamicsConfig) -> None:
+        """Refuse data that ``model`` cannot be trained on.
 
         Raises:
             ValueError: images or actions of other sizes, or episodes that are too short.
         """
         with open_episodes(data.path) as file:
             refuse_unequal(file)
-        config, steps = self.model.perception, data.metadata.steps
+        config, steps = model.perception, data.metadata.steps
         size = (config.image_size, config.image_size)
         if self.length > steps:
             raise ValueError(f"length must be from 1 to {steps} for {data.path}, got {self.length}")

@@ -109,7 +109,7 @@ class StatePairs:
 
     Most of what play does is to move the hand. Pairs are sorted by the rarest thing that changes
     between them (a part is gone; a part moved; something slid; nothing but the hand), and each
-    kind is drawn with a share of its own (:data:`_SHARES`), so that the generator learns, and its
+    kind is drawn with a share of its own, so that the generator learns, and its
     likelihood measures, the rare as well as the common. Parts change places at random: what one
     does is as likely of the others.
 
@@ -119,24 +119,32 @@ class StatePairs:
         tracks: recorded episodes.
         count: pairs per step.
         seed: of the draws.
+        shares: of the four kinds, from the most common to the rarest.
 
     Raises:
         ValueError: no pair whose parts are all known.
     """
 
-    def __init__(self, tracks: LayerTracks, count: int, seed: int) -> None:
+    def __init__(
+        self,
+        tracks: LayerTracks,
+        count: int,
+        seed: int,
+        shares: tuple[float, float, float, float] = _SHARES,
+    ) -> None:
         self._tracks, self._count, self._seed = tracks, count, seed
+        self._shares = shares
         pairs = _pairs(tracks, np.random.default_rng([seed, len(tracks.truth)]))
         if not pairs.shape[1]:
             raise ValueError("tracks: no two frames in which all parts are known, one later")
         kinds = changes(tracks, pairs)
-        self._kinds = [pairs[:, kinds == kind] for kind in range(len(_SHARES))]
+        self._kinds = [pairs[:, kinds == kind] for kind in range(len(shares))]
 
     def batch(self, step: int) -> Mapping[str, torch.Tensor]:
         """The batch of training step ``step``, a function of (seed, step)."""
         rng = np.random.default_rng([self._seed, step])
         there = [pairs.shape[1] > 0 for pairs in self._kinds]
-        shares = np.array(_SHARES) * there
+        shares = np.array(self._shares) * there
         counts = rng.multinomial(self._count, shares / shares.sum())
         drawn = [
             pairs[:, rng.integers(pairs.shape[1], size=count)]

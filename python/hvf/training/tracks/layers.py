@@ -33,6 +33,8 @@ _PUSHED, _SLID = 1.0, 0.05
 
 # Steps in a short stretch.
 _SHORT = 2
+# Shares of the stretches in which a part is pushed, and something slides.
+PUSHED_SHARE, SLID_SHARE = 1 / 3, 1 / 6
 
 Floats = NDArray[np.float32]
 
@@ -207,7 +209,8 @@ def track(parts: Floats, mass: Floats) -> tuple[Floats, NDArray[np.uint8]]:
 class LayerSampler:
     """Stretches of states with their actions.
 
-    In a third of them a part is pushed, and in a sixth something slides. Short stretches teach the
+    In a third of them, unless it is said otherwise, a part is pushed, and in a sixth something
+    slides. Short stretches teach the
     most in the least time, and long ones what errors do to what comes after: the first part of all
     steps sees many stretches of two steps, the rest sees fewer that are long.
 
@@ -219,10 +222,17 @@ class LayerSampler:
         length: steps in a long stretch, ``H``.
         short_steps: training steps that see short stretches.
         seed: of the draws.
+        pushed: share of the stretches in which a part is pushed.
     """
 
     def __init__(
-        self, tracks: LayerTracks, windows: int, length: int, short_steps: int, seed: int
+        self,
+        tracks: LayerTracks,
+        windows: int,
+        length: int,
+        short_steps: int,
+        seed: int,
+        pushed: float = PUSHED_SHARE,
     ) -> None:
         steps = tracks.actions.shape[1]
         if not 1 <= length <= steps:
@@ -232,6 +242,7 @@ class LayerSampler:
         self._tracks = tracks
         self._windows, self._length, self._seed = windows, length, seed
         self._short_steps = short_steps
+        self._shares = (pushed, SLID_SHARE)
         self._events = {
             steps: (tracks.pushed(steps), tracks.slid(steps))
             for steps in {min(_SHORT, length), length}
@@ -248,10 +259,11 @@ class LayerSampler:
         episode = rng.integers(episodes, size=(windows, 1))
         start = rng.integers(steps - length + 1, size=(windows, 1))
         first = 0
-        for events, share in zip(self._events[length], (3, 6), strict=True):
+        for events, share in zip(self._events[length], self._shares, strict=True):
             if len(events):
-                places = slice(first, first + windows // share)
-                chosen = events[rng.integers(len(events), size=windows // share)]
+                count = int(windows * share + 1e-6)
+                places = slice(first, first + count)
+                chosen = events[rng.integers(len(events), size=count)]
                 episode[places], start[places] = chosen[:, :1], chosen[:, 1:]
                 first = places.stop
         times = start + np.arange(length + 1)

@@ -1,5 +1,6 @@
 //! The search for subgoal images (paper, section 4 and algorithm 2): the cross-entropy method
 //! over `K` latents, where a sample costs what the hardest of its `K + 1` segments costs to plan.
+//! The latents are drawn from their prior at first, or from what the generator proposes.
 //!
 //! Savings change nothing but the time:
 //!
@@ -11,6 +12,7 @@
 
 mod config;
 mod likelihood;
+mod proposals;
 mod pruning;
 mod samples;
 mod segments;
@@ -18,13 +20,14 @@ mod watch;
 
 use ndarray::{Array2, Array3, ArrayView2, Axis};
 
-use super::cem::distribution::{Bounds, Initial, Space, Start};
+use super::cem::distribution::{Bounds, Space};
 use super::cem::{minimise, IterationStats, Solution};
 use super::model::{Frames, SubgoalModel, WorldModel};
 use super::mpc::{check_single, plan_one, Interrupt, Plan};
 use super::sampler::{Purpose, Stream, MAX_DIMENSIONS};
 use crate::{Error, Result};
 use likelihood::Likelihoods;
+use proposals::starts;
 use samples::Samples;
 use segments::{Planner, Segments, Ways};
 
@@ -159,8 +162,7 @@ where
             format!("must be at most {}, got {}", MAX_DIMENSIONS / latent_dim, config.subgoals),
         ));
     }
-    let prior = Initial::Normal { mean: vec![0.0; dimensions], std: vec![1.0; dimensions] };
-    let prior = [Start::from(prior)];
+    let starts = starts(generator, ends, (config.subgoals, latent_dim))?;
     let stream = |ends: &Ends<_>| Stream { seed: ends.seed, purpose: Purpose::Latents, problem: 0 };
     let streams: Vec<Stream> = ends.iter().map(stream).collect();
     let space = Space::from(Bounds::unbounded(dimensions));
@@ -170,7 +172,7 @@ where
     match config.segment_cost {
         SegmentCost::Planned => {
             let mut samples = Samples::new(config, world, generator, ends, watch);
-            let outcome = minimise(&config.cem, &space, &prior, &streams, &mut samples);
+            let outcome = minimise(&config.cem, &space, &starts, &streams, &mut samples);
             let found = samples.found();
             match outcome {
                 Ok(_) => Ok(found.expect("an iteration was finished")),
@@ -182,7 +184,7 @@ where
         }
         SegmentCost::Likelihood => {
             let mut samples = Likelihoods::new(config, generator, ends, watch);
-            let outcome = minimise(&config.cem, &space, &prior, &streams, &mut samples);
+            let outcome = minimise(&config.cem, &space, &starts, &streams, &mut samples);
             let found = samples.found();
             if let Err(error) = outcome {
                 partially(found.unwrap_or(None));
