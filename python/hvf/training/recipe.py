@@ -162,6 +162,16 @@ class TrainingData:
         except ValueError as error:
             raise ValueError(f"{self.path}: {what}: {error}") from error
 
+    def fitted_to_held(self, config: ConfigT, what: str) -> ConfigT:
+        """The same with the data's actions, too, and with macro-steps as long as they are held.
+
+        Raises:
+            ValueError: as :meth:`fitted`, or episodes without actions.
+        """
+        low, high = self.action_box
+        hold = int(self.metadata.parameters.get("action_repeat", getattr(config, "hold", 1)))
+        return self.fitted(config, what, action_low=low, action_high=high, hold=hold)
+
     def square(self, model: str) -> int:
         """Height and width of the frames, for a ``model`` that takes square ones only.
 

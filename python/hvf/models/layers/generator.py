@@ -82,24 +82,43 @@ class LayerGeneratorConfig:
         return self.action_dim + self.sliders + 3 * self.roaming
 
 
-class LayerGenerator(nn.Module):
+class StateNetwork(nn.Module):
+    """A network of states, which it sees scaled to about -1 to 1.
+
+    Args:
+        sizes: of the states.
+    """
+
+    scale: Tensor
+
+    def __init__(self, sizes: LayerGeneratorConfig) -> None:
+        super().__init__()
+        self._roaming = sizes.roaming
+        half = 0.5 * sizes.image_size
+        spread = [2.0] * sizes.action_dim + [0.5] * sizes.sliders
+        self.register_buffer(
+            "scale", torch.tensor(spread + [half, half, 1.0] * sizes.roaming), persistent=False
+        )
+
+    def normal(self, states: Tensor) -> Tensor:
+        """Scaled states `[N, X]`, of `states [N, X]`."""
+        scaled = states / self.scale
+        parts = scaled[:, -3 * self._roaming :] - 0.5
+        return torch.cat([scaled[:, : -3 * self._roaming], parts], dim=1)
+
+
+class LayerGenerator(StateNetwork):
     """CVAE of states; see the module's documentation."""
 
     config_type: ClassVar[type[LayerGeneratorConfig]] = LayerGeneratorConfig
-    scale: Tensor
 
     def __init__(self, config: LayerGeneratorConfig) -> None:
-        super().__init__()
+        super().__init__(config)
         self.config = config
         size = config.state_size
         latent = config.latent_dim
         self.posterior = _network(config, 2 * size, 2 * latent)
         self.decoder = _network(config, size + latent, size)
-        half = 0.5 * config.image_size
-        spread = [2.0] * config.action_dim + [0.5] * config.sliders
-        self.register_buffer(
-            "scale", torch.tensor(spread + [half, half, 1.0] * config.roaming), persistent=False
-        )
 
     def decode(self, latents: Tensor, scenes: Tensor) -> Tensor:
         """States `[N, X]` for `latents [N, L]` in scenes of states `scenes [N, X]`."""
@@ -120,12 +139,12 @@ class LayerGenerator(nn.Module):
 
     def rebuild(self, latents: Tensor, scenes: Tensor) -> Tensor:
         """What the decoder says, before it is decided what moves and what is there: `[N, X]`."""
-        change: Tensor = self.decoder(torch.cat([latents, self._normal(scenes)], dim=1))
+        change: Tensor = self.decoder(torch.cat([latents, self.normal(scenes)], dim=1))
         return scenes + change * self.scale
 
     def encode(self, states: Tensor, scenes: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log variance `[N, L]` of the latents of `states [N, X]`."""
-        seen = torch.cat([self._normal(states), self._normal(scenes)], dim=1)
+        seen = torch.cat([self.normal(states), self.normal(scenes)], dim=1)
         mean, log_variance = self.posterior(seen).chunk(2, dim=1)
         return mean, log_variance.clamp(-12.0, 4.0)
 
@@ -177,11 +196,6 @@ class LayerGenerator(nn.Module):
 
     def _parts(self, states: Tensor) -> Tensor:
         return states[:, -3 * self.config.roaming :].reshape(len(states), -1, 3)
-
-    def _normal(self, states: Tensor) -> Tensor:
-        normal = states / self.scale
-        parts = normal[:, -3 * self.config.roaming :] - 0.5
-        return torch.cat([normal[:, : -3 * self.config.roaming], parts], dim=1)
 
 
 def _network(config: LayerGeneratorConfig, inputs: int, outputs: int) -> nn.Sequential:

@@ -25,7 +25,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
+from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig, StateNetwork
 
 # Presence from which on a part is there.
 _THERE = 0.5
@@ -61,27 +61,21 @@ class ProposalsConfig:
             raise ValueError(f"draws must be at least elites, {self.elites}; got {self.draws}")
 
 
-class LayerProposals(nn.Module):
+class LayerProposals(StateNetwork):
     """The network; see the module's documentation."""
 
     config_type: ClassVar[type[ProposalsConfig]] = ProposalsConfig
-    scale: Tensor
 
     def __init__(self, config: ProposalsConfig) -> None:
-        super().__init__()
-        self.config = config
         sizes = config.generator
+        super().__init__(sizes)
+        self.config = config
         layers: list[nn.Module] = []
         width = 2 * sizes.state_size + config.most
         for _ in range(config.depth):
             layers += [nn.Linear(width, config.hidden), nn.SiLU()]
             width = config.hidden
         self.network = nn.Sequential(*layers, nn.Linear(width, 2 * sizes.latent_dim))
-        half = 0.5 * sizes.image_size
-        spread = [2.0] * sizes.action_dim + [0.5] * sizes.sliders
-        self.register_buffer(
-            "scale", torch.tensor(spread + [half, half, 1.0] * sizes.roaming), persistent=False
-        )
         # In a tuple, since it is no part of the network and not saved with it.
         self._generator: tuple[LayerGenerator, ...] = ()
 
@@ -106,7 +100,7 @@ class LayerProposals(nn.Module):
         """
         hot = scenes.new_zeros(len(scenes), self.config.most)
         hot[:, left - 1] = 1.0
-        seen = torch.cat([self._normal(scenes), self._normal(self._there(scenes, goals)), hot], 1)
+        seen = torch.cat([self.normal(scenes), self.normal(self._there(scenes, goals)), hot], 1)
         mean, log_std = self.network(seen).chunk(2, dim=1)
         low, high = _LOG_STD
         return mean, low + (high - low) * torch.sigmoid(log_std)
@@ -212,8 +206,3 @@ class LayerProposals(nn.Module):
         places = torch.where(there, parts[..., :2], was[..., :2])
         parts = torch.cat([places, parts[..., 2:]], dim=2).flatten(1)
         return torch.cat([goals[:, : -3 * roaming], parts], dim=1)
-
-    def _normal(self, states: Tensor) -> Tensor:
-        normal = states / self.scale
-        parts = normal[:, -3 * self.config.generator.roaming :] - 0.5
-        return torch.cat([normal[:, : -3 * self.config.generator.roaming], parts], dim=1)

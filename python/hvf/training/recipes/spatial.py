@@ -80,12 +80,4 @@ class SpatialRecipe(Recipe):
         Raises:
             ValueError: images or episodes that the model cannot take.
         """
-        low, high = data.action_box
-        hold = int(data.metadata.parameters.get("action_repeat", self.model.hold))
-        return data.fitted(
-            self.model,
-            "the spatial latent model cannot take it",
-            action_low=low,
-            action_high=high,
-            hold=hold,
-        )
+        return data.fitted_to_held(self.model, "the spatial latent model cannot take it")
