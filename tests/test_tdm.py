@@ -279,11 +279,12 @@ def test_the_keypoint_world_draws_only_what_counts() -> None:
     start, goal = seen[np.array([0])], seen[np.array([1])]
     actions = np.random.default_rng(0).uniform(-3, 3, (1, 4, 3, 2)).astype(np.float32)
     repeated = start[np.zeros(4, np.int64)]
-    all_steps = world.drawn(start, actions)[0]
+    path = world.rollout(start, actions)
+    all_steps = world.drawn(start, path)[0]
     assert all_steps.shape == (4, 3, 3, 64, 64)
-    copies = world.drawn(repeated, actions[0][:, None])
+    copies = world.drawn(repeated, world.rollout(repeated, actions[0][:, None]))
     torch.testing.assert_close(copies[:, 0], all_steps, rtol=0, atol=0)
-    last = world.drawn(start, actions, last=True)[0]
+    last = world.drawn(start, path[:, :, -1:])[0]
     torch.testing.assert_close(last[:, 0], all_steps[:, -1], rtol=0, atol=0)
     np.testing.assert_array_equal(
         world.predict(repeated, actions[0])[:, 1],

@@ -86,8 +86,9 @@ class ImageDistanceWorld(Around):
     Args:
         world: has ``observe(images)``, frames with ``images``, and ``predict(frames[N],
             actions[N, H, A])`` that gives uint8 ``[N, H, S, S, 3]``, and takes ``seeds [N]``, too,
-            if it ``uses_seeds``; or, in its place, ``drawn(frames[B], actions[B, D, H, A], last)``
-            that gives float ``[B, D, H, 3, S, S]``, only the last step's if ``last``.
+            if it ``uses_seeds``; or, in its place, ``rollout(frames[B], actions[B, D, H, A])`` and
+            ``drawn(frames[B], path[B, D, H, ...])``, which gives float ``[B, D, H, 3, S, S]`` of
+            what the first gives.
         distance: of predicted images to the goal.
         over_horizon: whether the last predicted frame counts, their sum, or their minimum.
     """
@@ -144,11 +145,12 @@ class ImageDistanceWorld(Around):
         """
         last = self.over_horizon == "last"
         if hasattr(self.world, "drawn"):
-            some = max(1, _AT_ONCE // (1 if last else actions.shape[1]))
+            path = self.world.rollout(start, actions[None])
+            path = path[:, :, -1:] if last else path
+            some = max(1, _AT_ONCE // path.shape[2])
             for first in range(0, len(actions), some):
-                part = actions[None, first : first + some]
-                drawn: Tensor = self.world.drawn(start, part, last).flatten(0, 2)
-                yield drawn.clamp(0, 1).to(self.distance.device)
+                drawn: Tensor = self.world.drawn(start, path[:, first : first + some])
+                yield drawn.flatten(0, 2).clamp(0, 1).to(self.distance.device)
             return
         seen = self.world.predict(start[np.zeros(len(actions), np.int64)], actions, **noise)
         seen = torch.from_numpy(np.ascontiguousarray(seen[:, -1:] if last else seen))
@@ -205,7 +207,7 @@ class KeypointDistanceWorld(Around):
         actions: NDArray[np.float32],
     ) -> NDArray[np.float32]:
         """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
-        path = torch.from_numpy(self.world.native.rollout(starts, actions))
+        path = torch.from_numpy(self.world.rollout(starts, actions))
         if self.over_horizon == "last":
             path = path[:, :, -1:]
         with one_thread():

@@ -106,19 +106,19 @@ class KeypointWorld(Around):
         self, starts: hvf_core.KeypointFrames, actions: NDArray[np.float32]
     ) -> NDArray[np.uint8]:
         """Predicted frames uint8 `[N, H, S, S, 3]` for `actions [N, H, A]`, to look at."""
-        drawn = self.drawn(starts, actions[:, None])[:, 0]
+        drawn = self.drawn(starts, self.rollout(starts, actions[:, None]))[:, 0]
         shape = (*drawn.shape[:2], *starts.images.shape[1:])
         return to_frames(drawn.flatten(0, 1)).numpy().reshape(shape)
 
-    def drawn(
-        self, starts: hvf_core.KeypointFrames, actions: NDArray[np.float32], last: bool = False
-    ) -> torch.Tensor:
-        """Predicted images, about in [0, 1], float `[B, D, H, 3, S, S]`; or the `last` ones only.
+    def rollout(
+        self, starts: hvf_core.KeypointFrames, actions: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Predicted keypoints `[B, D, H, 2]` for `actions [B, D, H, A]`."""
+        path: NDArray[np.float32] = self.native.rollout(starts, np.ascontiguousarray(actions))
+        return path
 
-        For `actions [B, D, H, A]`.
-        """
-        path = self.native.rollout(starts, np.ascontiguousarray(actions))
-        path = path[:, :, -1:] if last else path
+    def drawn(self, starts: hvf_core.KeypointFrames, path: NDArray[np.float32]) -> torch.Tensor:
+        """Images of keypoints `path [B, D, H, 2]`, about in [0, 1], float `[B, D, H, 3, S, S]`."""
         images = to_unit(torch.from_numpy(starts.images))
         before = torch.from_numpy(starts.keypoints)
         if len(images) > 1:
