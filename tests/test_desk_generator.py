@@ -35,7 +35,7 @@ from hvf.worlds.layers_subgoals import StateSubgoals
 from hvf_core import LayerFrames
 from layered_desk import SIZE, random_dynamics
 
-EPISODES, STEPS = 40, 30
+EPISODES, STEPS = toy.EPISODES, toy.STEPS
 SMALL = LayerGeneratorConfig(image_size=toy.SIZE, latent_dim=4, hidden=16)
 SHORT = LoopConfig(
     steps=8, learning_rate=1e-3, precision="float32", validate_every=8, checkpoint_every=4
@@ -50,9 +50,7 @@ def perception() -> LayerPerception:
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("data") / "desk.h5"
-    toy.write(path, 0, EPISODES, STEPS)
-    return path
+    return toy.recorded(tmp_path_factory.mktemp("data"))
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ from hvf.worlds.layers_subgoals import StateSubgoals
 from hvf_core import HVF, VisualMPC
 from layered_desk import SIZE, random_dynamics
 
-EPISODES, STEPS, LATENT = 40, 30, 4
+LATENT = 4
 SMALL = LayerGeneratorConfig(image_size=toy.SIZE, latent_dim=LATENT, hidden=16)
 
 
@@ -43,14 +43,12 @@ def perception() -> LayerPerception:
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("data") / "desk.h5"
-    toy.write(path, 0, EPISODES, STEPS)
-    return path
+    return toy.recorded(tmp_path_factory.mktemp("data"))
 
 
 @pytest.fixture(scope="module")
 def tracks(data: Path, perception: LayerPerception) -> LayerTracks:
-    return LayerTracks(data, perception, EPISODES)
+    return LayerTracks(data, perception, toy.EPISODES)
 
 
 def generator(seed: int, config: LayerGeneratorConfig = SMALL) -> LayerGenerator:

@@ -18,7 +18,7 @@ from hvf.data.formats.hdf5 import write_episodes
 from hvf.models.layers.perception import LayerPerception
 from hvf.training.tracks.layers import LayerSampler, LayerTracks, track
 
-EPISODES, STEPS = 40, 30
+EPISODES, STEPS = toy.EPISODES, toy.STEPS
 Floats = NDArray[np.float32]
 
 
@@ -29,9 +29,7 @@ def perception() -> LayerPerception:
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("data") / "desk.h5"
-    toy.write(path, 0, EPISODES, STEPS)
-    return path
+    return toy.recorded(tmp_path_factory.mktemp("data"))
 
 
 @pytest.fixture(scope="module")

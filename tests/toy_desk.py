@@ -33,6 +33,8 @@ from hvf.models.layers.gallery import GalleryConfig
 from hvf.models.layers.perception import LayerPerception, LayerPerceptionConfig
 
 SIZE = 32
+EPISODES, STEPS = 40, 30
+"""Of a recording that tests of one module share."""
 SQUARE = 5.0
 """Pixels on each side of a square."""
 WOOD, DOOR, DRAWER = (146, 136, 126), (50, 80, 190), (150, 50, 170)
@@ -204,6 +206,13 @@ def write(path: Path, seed: int, episodes: int, steps: int) -> tuple[NDArray[np.
     metadata = Metadata("desk", {}, seed, steps, episodes, {})
     write_episodes(path, metadata, Episodes(frames, actions, states))
     return actions, states
+
+
+def recorded(folder: Path) -> Path:
+    """A file of :data:`EPISODES` of :data:`STEPS` steps, seed 0, in a folder."""
+    path = folder / "desk.h5"
+    write(path, 0, EPISODES, STEPS)
+    return path
 
 
 def _box(top: Edge, bottom: Edge, left: Edge, right: Edge) -> Floats:
