@@ -28,8 +28,9 @@ from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
 from hvf.models.layers.perception import LayerPerception
 from hvf.training.loop import LoopConfig
 from hvf.training.recipe import train as train_model
-from hvf.training.recipes.layers_generator import StatePairs, validate_layers_generator
+from hvf.training.recipes.layers_generator import validate_layers_generator
 from hvf.training.tracks.layers import LayerTracks
+from hvf.training.tracks.pairs import StatePairs
 from hvf.worlds.layers import LayerWorld
 from hvf.worlds.layers_subgoals import StateSubgoals
 from hvf_core import LayerFrames

@@ -23,9 +23,9 @@ from hvf.protocols import Judging, Proposals, Proposing
 from hvf.registry import METHODS
 from hvf.training.loop import LoopConfig
 from hvf.training.recipe import train as train_model
-from hvf.training.recipes.layers_generator import StatePairs
 from hvf.training.recipes.layers_proposals import Recombined
 from hvf.training.tracks.layers import LayerTracks
+from hvf.training.tracks.pairs import StatePairs
 from hvf.worlds.layers import LayerWorld
 from hvf.worlds.layers_proposals import proposals_of
 from hvf.worlds.layers_subgoals import StateSubgoals

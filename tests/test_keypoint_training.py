@@ -16,6 +16,7 @@ import hvf_core
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
 from hvf.domains.maze_collection import MazeCollection
+from hvf.protocols import Judging
 from hvf.settings import Planning
 
 torch = pytest.importorskip("torch")
@@ -23,6 +24,7 @@ torch = pytest.importorskip("torch")
 from hvf.models.checkpoint import load_any  # noqa: E402
 from hvf.models.frames import to_unit  # noqa: E402
 from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
+from hvf.models.keypoint.generator import GeneratorConfig, KeypointGenerator  # noqa: E402
 from hvf.models.keypoint.perception import KeypointPerception  # noqa: E402
 from hvf.models.keypoint.scene_code import SceneCode  # noqa: E402
 from hvf.models.temporal_distance import TemporalDistance, TemporalDistanceConfig  # noqa: E402
@@ -31,12 +33,9 @@ from hvf.training.loop import LoopConfig  # noqa: E402
 from hvf.training.recipe import train  # noqa: E402
 from hvf.training.recipes.temporal_distance import KeypointPairs  # noqa: E402
 from hvf.training.tracks.keypoints import Transitions, TransitionSampler  # noqa: E402
-from hvf.worlds.distances import (  # noqa: E402
-    ImageDistanceWorld,
-    KeypointDistanceWorld,
-    LatentDistance,
-)
-from hvf.worlds.keypoint import KeypointWorld  # noqa: E402
+from hvf.worlds.distances import ImageDistanceWorld, LatentDistance  # noqa: E402
+from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld  # noqa: E402
+from hvf.worlds.steps import KeypointStepsWorld, judged, steps_world  # noqa: E402
 
 QUIET = Console(quiet=True)
 SHORT = LoopConfig(
@@ -283,7 +282,7 @@ def test_temporal_distance_is_the_expected_class() -> None:
     frames = world.observe(hvf_core.maze_collect(5, 0, 2, 1)[0][:, 0])
     start, goal = frames[np.array([0])], frames[np.array([1])]
     actions = np.random.default_rng(0).uniform(-3, 3, (1, 5, 3, 2)).astype(np.float32)
-    found = KeypointDistanceWorld(world, model, "min").rollout_costs(start, goal, actions)
+    found = KeypointStepsWorld(world, model, "min").rollout_costs(start, goal, actions)
     path = world.native.rollout(start, actions)
     with torch.inference_mode():
         code = model.code(torch.from_numpy(start.maps))
@@ -296,3 +295,37 @@ def test_temporal_distance_is_the_expected_class() -> None:
                 weights = np.exp(logits.numpy()) / np.exp(logits.numpy()).sum()
                 costs.append(float(weights @ np.arange(4)))
             assert found[0, d] == pytest.approx(min(costs), rel=1e-4)
+
+
+def test_segments_judged_by_keypoints_cost_what_the_model_says_of_their_ends() -> None:
+    torch.manual_seed(3)
+    world = KeypointWorld(KeypointDynamics(DynamicsConfig()))
+    model = TemporalDistance(TemporalDistanceConfig(classes=4)).eval()
+    subgoals = KeypointSubgoals(KeypointGenerator(GeneratorConfig()), world)
+    frames = world.observe(hvf_core.maze_collect(5, 0, 2, 1)[0][:, 0])
+    start, goal = frames[np.array([0])], frames[np.array([1])]
+    latents = np.random.default_rng(0).normal(size=(4, 2, subgoals.latent_dim)).astype(np.float32)
+    judging = judged(model, subgoals)
+    assert isinstance(judging, Judging)
+    found = judging.segment_costs(start, goal, latents)
+    assert found.shape == (4, 3)
+    drawn = subgoals.decode(start, latents).keypoints.reshape(4, 2, 2)
+    np.testing.assert_array_equal(judging.decode(start, latents).keypoints.reshape(4, 2, 2), drawn)
+    with torch.inference_mode():
+        code = model.code(torch.from_numpy(start.maps))
+        for sample in range(4):
+            path = np.concatenate([start.keypoints, drawn[sample], goal.keypoints])
+            for segment in range(3):
+                before, after = (torch.from_numpy(path[[segment + k]]) for k in range(2))
+                expected = float(model(before, after, code)[0])
+                assert found[sample, segment] == pytest.approx(expected, rel=1e-4)
+
+
+def test_distances_in_steps_refuse_what_they_are_not_for() -> None:
+    model, planning = TemporalDistance(TemporalDistanceConfig()), Planning()
+    with pytest.raises(ValueError, match="'temporal' needs keypoint dynamics, got object"):
+        steps_world(object(), model, planning)
+    with pytest.raises(ValueError, match="needs a temporal-distance or layers-distance model"):
+        steps_world(object(), object(), planning)
+    with pytest.raises(ValueError, match="segment_model: temporal-distance is for keypoint-gener"):
+        judged(model, object())

@@ -107,6 +107,7 @@ MODELS: Registry[ModelEntry] = Registry(
         "layers": "hvf.models.catalogue:LAYERS",
         "layers-generator": "hvf.models.catalogue:LAYERS_GENERATOR",
         "layers-proposals": "hvf.models.catalogue:LAYERS_PROPOSALS",
+        "layers-distance": "hvf.models.catalogue:LAYERS_DISTANCE",
         "cvae": "hvf.models.catalogue:CVAE",
         "vae": "hvf.models.catalogue:VAE",
         "sv2p": "hvf.models.catalogue:SV2P",

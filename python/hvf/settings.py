@@ -133,9 +133,10 @@ class Planning:
         subgoal_covariance: diagonal, or full over the latents of all subgoals.
         subgoal_shrinkage: how far the correlations of a full one are shrunk.
         reduction: cost of a sample over its segments: the maximum (the paper's) or the mean.
-        segment_cost: who says what a segment costs: the planner, which plans it (the paper's), or
-            the generator, by how likely it is that random play leads from one frame to the next;
-            for generators that know, without a plan and far faster.
+        segment_cost: who says what a segment costs: the planner, which plans it (the paper's); the
+            generator, by how likely it is that random play leads from one frame to the next, for
+            generators that know, without a plan and far faster; or a distance, by how many steps
+            of play that takes, as fast.
         steps: steps of a trial (T); none for the task's own limit.
         steps_per_subgoal: most steps towards one subgoal (T*).
         threshold: cost below which a subgoal counts as reached.
@@ -184,7 +185,7 @@ class Planning:
     subgoal_covariance: Literal["diagonal", "full"] = "diagonal"
     subgoal_shrinkage: float = 0.1
     reduction: Literal["max", "mean"] = "max"
-    segment_cost: Literal["planned", "likelihood"] = "planned"
+    segment_cost: Literal["planned", "likelihood", "distance"] = "planned"
     steps: int | None = None
     steps_per_subgoal: int = 10
     threshold: float = 1e-3
@@ -258,7 +259,8 @@ class Planning:
             iterations=self.subgoal_iterations,
             reduction=self.reduction,
             best=self.best,
-            segment_cost=self.segment_cost,
+            # A distance is asked through the generator, whose segments it then judges.
+            segment_cost="likelihood" if self.segment_cost == "distance" else self.segment_cost,
             keep_elites=self.subgoal_keep_elites,
             momentum=self.subgoal_momentum,
             samples_decay=self.subgoal_samples_decay,
@@ -286,6 +288,8 @@ class World:
         cost: what a predicted frame costs: "pixel", the distance to the goal image (the paper's),
             or another cost by name.
         cost_model: checkpoint of the model that the cost asks; none for the domain's own.
+        segment_model: checkpoint of the distance that segments cost, with the segment cost
+            "distance"; none for the domain's own.
         method_model: checkpoint of the model that the method asks, for methods that ask one of
             their own, such as "tap"; none for the domain's own.
     """
@@ -294,6 +298,7 @@ class World:
     generator: str = "default"
     cost: str = "pixel"
     cost_model: str | None = None
+    segment_model: str | None = None
     method_model: str | None = None
 
 

@@ -12,8 +12,16 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from hvf.data.loader import EpisodePool
+
+
+def doubling_steps(rng: np.random.Generator, longest: int, count: int) -> NDArray[np.int64]:
+    """Numbers of steps ``[count]`` from 0 to ``longest``; 0, 1, 2 to 3, 4 to 7 ... as often."""
+    drawn = np.exp2(rng.uniform(-1, np.log2(longest + 1), count))
+    steps: NDArray[np.int64] = drawn.astype(np.int64)
+    return steps
 
 
 class BetweenSampler:

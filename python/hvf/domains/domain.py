@@ -99,6 +99,7 @@ class Domain:
         presets: plan settings by name; "default" is one of them.
         weights: checkpoints that ship, by the names that settings use for them.
         generators: which generator goes with which dynamics, by name, if it is not said.
+        distances: which distance in steps goes with which dynamics, by name.
         privileged: dynamics that start from true states: no image gives these.
         published: success rates that Nair & Finn (ICLR 2020) give in numbers, 100 trials each.
         published_kind: how tables name the rows of these.
@@ -120,6 +121,7 @@ class Domain:
     presets: Mapping[str, Preset] = field(default_factory=lambda: {"default": Preset(Planning())})
     weights: Mapping[str, Path] = field(default_factory=dict)
     generators: Mapping[str, str] = field(default_factory=dict)
+    distances: Mapping[str, str] = field(default_factory=dict)
     privileged: tuple[str, ...] = ()
     published: Published = field(default_factory=dict)
     published_kind: str = "video"

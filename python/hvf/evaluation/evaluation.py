@@ -14,6 +14,7 @@ from hvf.data.splits import EPISODE_SEEDS
 from hvf.domains.domain import Domain
 from hvf.registry import DOMAINS, METHODS
 from hvf.settings import Acting, Planning, World
+from hvf.worlds.load import segment_model
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +123,7 @@ class Evaluation:
 
     @property
     def world_names(self) -> dict[str, str]:
-        """What takes part, by its part: "dynamics", "generator", "cost", "method".
+        """What takes part, by its part: "dynamics", "generator", "cost", "segment", "method".
 
         And what the task brings, as the maze's "layout".
         """
@@ -132,6 +133,8 @@ class Evaluation:
             names["generator"] = world.generator
         if method.needs_dynamics:
             names["cost"] = world.cost
+        if self._measures_segments:
+            names["segment"] = segment_model(self.place, world)
         if method.asks is not None:
             names["method"] = world.method_model or method.asks
         return {**names, **self.place.parts(self.task)}
@@ -150,6 +153,8 @@ class Evaluation:
         world = dict(_changes(self.world, preset.world))
         if not method.needs_generator:
             world.pop("generator", None)
+        if not self._measures_segments:
+            world.pop("segment_model", None)
         if method.asks is None:
             world.pop("method_model", None)
         if not method.needs_dynamics:
@@ -161,6 +166,12 @@ class Evaluation:
         if self.seed is not None:
             words.append(f"seed-{self.seed}")
         return re.sub(r"[^a-z0-9.]+", "-", " ".join(words).lower()).strip("-")
+
+    @property
+    def _measures_segments(self) -> bool:
+        """Whether segments cost a distance."""
+        searches = METHODS[self.method].needs_generator
+        return searches and self.planning.segment_cost == "distance"
 
 
 def _changes(a: Any, b: Any) -> Mapping[str, Any]:

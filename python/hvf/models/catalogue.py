@@ -37,7 +37,8 @@ TEMPORAL_DISTANCE = ModelEntry(
     kind="object",
     role="distance",
     module="hvf.models.temporal_distance:TemporalDistance",
-    plannable="hvf.worlds.distances:temporal_of",
+    plannable="hvf.worlds.steps:steps_of",
+    judge="hvf.worlds.steps:judged",
     recipe="hvf.training.recipes.temporal_distance:TemporalDistanceRecipe",
     assumes=(
         "what the keypoint dynamics assumes, whose keypoints it compares; "
@@ -83,6 +84,17 @@ LAYERS_PROPOSALS = ModelEntry(
     plannable="hvf.worlds.layers_proposals:proposals_of",
     recipe="hvf.training.recipes.layers_proposals:LayersProposalsRecipe",
     assumes="what the layers generator assumes, whose latents it proposes",
+)
+
+LAYERS_DISTANCE = ModelEntry(
+    about="Classifier of the steps of play between two states that the layers dynamics sees.",
+    kind="object",
+    role="distance",
+    module="hvf.models.layers.distance:LayerDistance",
+    plannable="hvf.worlds.steps:steps_of",
+    judge="hvf.worlds.steps:judged",
+    recipe="hvf.training.recipes.layers_distance:LayersDistanceRecipe",
+    assumes="what the layers dynamics assumes, whose states it compares",
 )
 
 CVAE = ModelEntry(

@@ -39,6 +39,9 @@ class ModelEntry:
         recipe: its :class:`~hvf.training.recipe.Recipe`; None if it is not trained here.
         assumes: what it takes for granted about a scene, for the table of models.
         formerly: names that its class had in older checkpoints.
+        judge: of a distance, what makes of a generator one whose segments cost this distance:
+            ``judge(module, generator)`` gives a :class:`~hvf.protocols.Judging`; None if there is
+            none.
     """
 
     about: str
@@ -49,6 +52,7 @@ class ModelEntry:
     recipe: str | type[Any] | None = None
     assumes: str = ""
     formerly: tuple[str, ...] = ()
+    judge: Any = None
 
     @property
     def class_name(self) -> str:
@@ -58,6 +62,6 @@ class ModelEntry:
         )
 
     def resolved(self, attribute: str) -> Any:
-        """``module``, ``plannable`` or ``recipe``, imported."""
+        """``module``, ``plannable``, ``judge`` or ``recipe``, imported."""
         target = getattr(self, attribute)
         return imported(target) if isinstance(target, str) else target

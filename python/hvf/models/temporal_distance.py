@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from hvf.models.doublings import class_of, expected_class
 from hvf.models.keypoint.scene_code import SceneCode
 
 
@@ -66,8 +67,7 @@ class TemporalDistance(nn.Module):
 
     def classes(self, steps: Tensor) -> Tensor:
         """Class `[N]`, int64, of a number of steps `[N]`."""
-        doublings = torch.log2(steps.clamp_min(1).double()).floor().long() + 1
-        return torch.where(steps > 0, doublings, 0).clamp_max(self.config.classes - 1)
+        return class_of(steps, self.config.classes)
 
     def logits(self, before: Tensor, after: Tensor, codes: Tensor) -> Tensor:
         """Logits `[..., classes]` of `before` and `after [..., 2]` in scenes `codes [..., E]`."""
@@ -78,10 +78,7 @@ class TemporalDistance(nn.Module):
 
     def forward(self, before: Tensor, after: Tensor, codes: Tensor) -> Tensor:
         """Expected class `[...]`: about the binary logarithm of twice the number of steps."""
-        probabilities = self.logits(before, after, codes).softmax(dim=-1)
-        return probabilities @ torch.arange(
-            self.config.classes, dtype=probabilities.dtype, device=probabilities.device
-        )
+        return expected_class(self.logits(before, after, codes))
 
     def loss(
         self, batch: Mapping[str, Tensor], generator: torch.Generator, step: int

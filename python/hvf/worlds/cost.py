@@ -20,11 +20,14 @@ class Cost:
         target: makes a world with this cost from (world, model, planning): a function, or
             ``"module:attribute"``; None for what worlds measure by themselves.
         model: the model that it asks, by its name among the domain's weights; None for none.
+        in_steps: whether it asks, in place of that, the distance in steps that goes with the
+            dynamics (:attr:`hvf.domains.domain.Domain.distances`).
     """
 
     about: str
     target: str | Callable[[Any, Any, Planning], WorldModel[Any]] | None = None
     model: str | None = None
+    in_steps: bool = False
 
     @property
     def world(self) -> Callable[[Any, Any, Planning], WorldModel[Any]] | None:
@@ -42,9 +45,9 @@ LATENT = Cost(
     "cvae",
 )
 TEMPORAL = Cost(
-    "learned distance in steps of random play, of keypoints",
-    "hvf.worlds.distances:temporal_world",
-    "temporal-distance",
+    "learned distance in steps of random play, of what an object model perceives",
+    "hvf.worlds.steps:steps_world",
+    in_steps=True,
 )
 TDM = Cost(
     "how likely the predicted frame and the goal image are many steps apart (the paper's)",

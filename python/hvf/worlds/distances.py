@@ -1,10 +1,9 @@
-"""Other planning costs than pixels: distances that a learned model measures.
+"""Other planning costs than pixels: distances between images that a learned model measures.
 
-The distance is a torch model that is asked once for all candidates of a problem. Those between
-images go with any world that draws what it predicts; the temporal distance of keypoints needs
-none drawn, with rollouts in Rust. All are slower than the pixel cost, which the keypoint world has
-a closed form of: the keypoints' distance by about an order of magnitude, those that have to draw
-and encode frames by three.
+The distance is a torch model that is asked once for all candidates of a problem. It goes with any
+world that draws what it predicts, and is slower by three orders of magnitude than the pixel cost,
+which the keypoint world has a closed form of. Distances in steps (:mod:`hvf.worlds.steps`) need
+nothing drawn.
 """
 
 from __future__ import annotations
@@ -17,15 +16,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-import hvf_core
 from hvf.models.frames import to_unit
 from hvf.models.tdm import TDM
-from hvf.models.temporal_distance import TemporalDistance
 from hvf.models.vae import CVAE
 from hvf.protocols import Remembering, WorldModel
 from hvf.settings import OverHorizon, Planning
 from hvf.threads import one_thread
-from hvf.worlds.keypoint import KeypointWorld
 from hvf.worlds.world import Around
 
 # Images that are drawn and measured together: what the networks make of them stays in the caches.
@@ -175,58 +171,6 @@ class RememberingDistanceWorld(ImageDistanceWorld):
         return self.world.observe_history(images, actions)
 
 
-class KeypointDistanceWorld(Around):
-    """The compact dynamics model, with learned temporal distance of keypoints as its cost.
-
-    Args:
-        world: rolls out.
-        model: the distance.
-        over_horizon: whether the last predicted frame counts, their sum, or their minimum.
-    """
-
-    def __init__(
-        self, world: KeypointWorld, model: TemporalDistance, over_horizon: OverHorizon
-    ) -> None:
-        self.world = world
-        self.model = model.eval()
-        self.over_horizon = over_horizon
-
-    @property
-    def inner(self) -> Any:
-        """The world that predicts."""
-        return self.world
-
-    def observe(self, images: NDArray[np.uint8]) -> hvf_core.KeypointFrames:
-        """Frames of uint8 `images [N, S, S, 3]`."""
-        return self.world.observe(images)
-
-    def rollout_costs(
-        self,
-        starts: hvf_core.KeypointFrames,
-        goals: hvf_core.KeypointFrames,
-        actions: NDArray[np.float32],
-    ) -> NDArray[np.float32]:
-        """Planning costs float32 `[B, D]` of `actions [B, D, H, A]`."""
-        path = torch.from_numpy(self.world.rollout(starts, actions))
-        if self.over_horizon == "last":
-            path = path[:, :, -1:]
-        with one_thread():
-            costs = self.between(starts, goals, path)
-            total = costs.amin(dim=2) if self.over_horizon == "min" else costs.sum(dim=2)
-        result: NDArray[np.float32] = total.numpy()
-        return result
-
-    def between(
-        self, starts: hvf_core.KeypointFrames, goals: hvf_core.KeypointFrames, path: Tensor
-    ) -> Tensor:
-        """Distances `[B, D, H]` of predicted keypoints `path [B, D, H, 2]` to `goals [B]`."""
-        shape = path.shape[:3]
-        codes = self.model.code(torch.from_numpy(starts.maps))[:, None, None].expand(*shape, -1)
-        aim = torch.from_numpy(goals.keypoints)[:, None, None].expand(*shape, -1)
-        distance: Tensor = self.model(path, aim, codes)
-        return distance
-
-
 def latent_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
     """A world whose cost is distance in the latent of a VAE or CVAE.
 
@@ -252,27 +196,6 @@ def tdm_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
 def tdm_of(model: TDM, world: Any) -> WorldModel[Any]:
     """A world with this cost and no other settings; see :func:`tdm_world`."""
     return tdm_world(world, model, Planning())
-
-
-def temporal_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
-    """A keypoint world whose cost is the learned distance in steps.
-
-    Raises:
-        ValueError: another kind of world or model.
-    """
-    if not isinstance(model, TemporalDistance):
-        raise ValueError(
-            f"cost: 'temporal' needs a temporal-distance model, got {type(model).__name__}"
-        )
-    if not isinstance(world, KeypointWorld):
-        kind = type(world).__name__
-        raise ValueError(f"cost: 'temporal' needs keypoint dynamics, got {kind}")
-    return KeypointDistanceWorld(world, model, planning.over_horizon)
-
-
-def temporal_of(model: TemporalDistance, world: Any) -> WorldModel[Any]:
-    """A keypoint world with this cost and no other settings; see :func:`temporal_world`."""
-    return temporal_world(world, model, Planning())
 
 
 def _measured(

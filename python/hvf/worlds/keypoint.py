@@ -153,11 +153,8 @@ class KeypointSubgoals:
     ) -> hvf_core.KeypointFrames:
         """Frames `[M * K]` for `latents [M, K, L]` in the scene of `scene [1]`, sample-major."""
         dynamics = self.world.dynamics
-        count = latents.shape[0] * latents.shape[1]
         with one_thread():
-            code = self.generator.code(torch.from_numpy(scene.maps))
-            flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
-            keypoints = self.generator.decode(flat, code.expand(count, -1))
+            keypoints = self.points(scene, latents)
             start, before = (
                 to_unit(torch.from_numpy(scene.images)),
                 torch.from_numpy(scene.keypoints),
@@ -167,6 +164,13 @@ class KeypointSubgoals:
                 for some in torch.split(keypoints, _IMAGES_IN_CACHE)
             ]
         return scene.moved(np.concatenate(images), keypoints.numpy())
+
+    def points(self, scene: hvf_core.KeypointFrames, latents: NDArray[np.float32]) -> torch.Tensor:
+        """Keypoints `[M * K, 2]` of the same frames, of which nothing is drawn."""
+        count = latents.shape[0] * latents.shape[1]
+        code = self.generator.code(torch.from_numpy(scene.maps))
+        flat = torch.from_numpy(np.ascontiguousarray(latents).reshape(count, -1))
+        return self.generator.decode(flat, code.expand(count, -1))
 
 
 def world_of(dynamics: KeypointDynamics, planning: Planning) -> KeypointWorld:

@@ -44,6 +44,7 @@ class LayerWorld(Around):
         scene_weight: float = 0.0,
     ) -> None:
         self.dynamics = dynamics.eval().requires_grad_(False)
+        self.hold = hold
         cell, perception = dynamics.cell, dynamics.perception
         gallery = perception.gallery
         self._device = perception.sprites.device
@@ -138,6 +139,14 @@ class LayerWorld(Around):
         They are those of :meth:`rollout_costs`, to the last bit.
         """
         return self.native.shared_rollout_costs(start, goals, actions)
+
+    def rollout(
+        self, starts: hvf_core.LayerFrames, actions: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Predicted states `[B, D, H / hold, X]` that count, for `actions [B, D, H, A]`."""
+        path = self.native.rollout(starts, np.ascontiguousarray(actions))
+        counted: NDArray[np.float32] = path[:, :, self.hold - 1 :: self.hold]
+        return counted
 
     def predict(
         self, starts: hvf_core.LayerFrames, actions: NDArray[np.float32]

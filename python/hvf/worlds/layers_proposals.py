@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 import hvf_core
 from hvf.models.layers.proposals import LayerProposals
 from hvf.threads import one_thread
+from hvf.worlds.layers_meanings import meanings
 from hvf.worlds.layers_subgoals import StateSubgoals
 
 
@@ -24,7 +25,7 @@ class ProposedSubgoals(StateSubgoals):
     """
 
     def __init__(self, subgoals: StateSubgoals, network: LayerProposals) -> None:
-        super().__init__(subgoals.generator, subgoals.world)
+        super().__init__(subgoals.generator, subgoals.world, subgoals.judge)
         if network.config.generator != self.generator.config:
             raise ValueError("method_model: these proposals are for another generator")
         self.network = network.eval().requires_grad_(False)
@@ -44,9 +45,9 @@ class ProposedSubgoals(StateSubgoals):
             raise ValueError(f"subgoals: must be from 1 to {most}, got {subgoals}")
         with one_thread():
             scene, end = torch.from_numpy(start.states), torch.from_numpy(goal.states)
-            meanings = self._meanings(scene[0], end[0])
-            surprise = self.generator.surprise(meanings, scene.expand(len(meanings), -1))
-            aim = meanings[surprise.argmin()][None]
+            ends = meanings(self.world.dynamics.perception, scene[0], end[0])
+            surprise = self.generator.surprise(ends, scene.expand(len(ends), -1))
+            aim = ends[surprise.argmin()][None]
             means = torch.zeros(1, subgoals, self.latent_dim)
             latents, log_std = self.network.chain(self.generator, scene, aim, means)
         return latents[0].numpy(), log_std[0].exp().numpy()

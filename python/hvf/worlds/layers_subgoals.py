@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -13,11 +14,10 @@ import hvf_core
 from hvf.models.layers.generator import LayerGenerator
 from hvf.threads import one_thread
 from hvf.worlds.layers import LayerWorld
+from hvf.worlds.layers_meanings import meanings
 
-# Presence from which on a part is there.
-_THERE = 0.5
-# Opacity of the arm, over the place of a part, from which on it may hide it.
-_COVERED = 0.6
+Judge: TypeAlias = Callable[[Tensor, Tensor], Tensor]
+"""What it costs to get from states ``[N, X]`` to states ``[N, X]``: ``[N]``."""
 
 
 class StateSubgoals:
@@ -26,18 +26,22 @@ class StateSubgoals:
     Args:
         generator: the trained generator.
         world: the world whose frames it draws.
+        judge: what a segment costs; how unlikely it is, in nats, if nothing else is given.
 
     Raises:
         ValueError: a generator of states of another length than the world's.
     """
 
-    def __init__(self, generator: LayerGenerator, world: LayerWorld) -> None:
+    def __init__(
+        self, generator: LayerGenerator, world: LayerWorld, judge: Judge | None = None
+    ) -> None:
         expected = world.dynamics.config.perception.state_size
         found = generator.config.state_size
         if expected != found:
             raise ValueError(f"generator: draws states of length {found}, the world's: {expected}")
         self.generator = generator.eval().requires_grad_(False)
         self.world = world
+        self.judge = self._surprise if judge is None else judge
 
     @property
     def latent_dim(self) -> int:
@@ -63,10 +67,10 @@ class StateSubgoals:
         goal: hvf_core.LayerFrames,
         latents: NDArray[np.float32],
     ) -> NDArray[np.float32]:
-        """How unlikely each segment is, nats, float32 `[M, K + 1]`, for `latents [M, K, L]`.
+        """What each segment costs, float32 `[M, K + 1]`, for `latents [M, K, L]`.
 
         A part that is not seen in `goal [1]` may be gone, or hidden behind the arm where it was in
-        `start [1]`: what is likelier counts. Nothing is drawn.
+        `start [1]`: what costs less counts. Nothing is drawn.
         """
         with one_thread():
             begin, end = torch.from_numpy(start.states), torch.from_numpy(goal.states)
@@ -74,10 +78,10 @@ class StateSubgoals:
             before = begin.expand(len(latents), -1)
             costs = []
             for states in path:
-                costs.append(self.generator.surprise(states, before))
+                costs.append(self.judge(before, states))
                 before = states
-            ends = self._meanings(begin[0], end[0])
-            last = [self.generator.surprise(each.expand(len(latents), -1), before) for each in ends]
+            ends = meanings(self.world.dynamics.perception, begin[0], end[0])
+            last = [self.judge(before, each.expand(len(latents), -1)) for each in ends]
             costs.append(torch.stack(last).amin(dim=0))
             segments: NDArray[np.float32] = torch.stack(costs, dim=1).numpy()
         return segments
@@ -90,23 +94,8 @@ class StateSubgoals:
             path.append(now)
         return path
 
-    def _meanings(self, start: Tensor, goal: Tensor) -> Tensor:
-        """States `[N, X]` that what is seen of `goal [X]` may mean after `start [X]`."""
-        perception = self.world.dynamics.perception
-        count = perception.config.roaming
-        was, seen = (states[-3 * count :].reshape(count, 3) for states in (start, goal))
-        covered = perception.covered(goal[None], was[None, :, :2])[0]
-        gone = was * was.new_tensor([1.0, 1.0, 0.0])
-        choices = []
-        for part in range(count):
-            if seen[part, 2] > _THERE:
-                choices.append([seen[part]])
-            elif was[part, 2] <= _THERE or covered[part] <= _COVERED:
-                choices.append([gone[part]])
-            else:
-                choices.append([gone[part], was[part]])
-        fixed = goal[: -3 * count]
-        return torch.stack([torch.cat([fixed, *each]) for each in itertools.product(*choices)])
+    def _surprise(self, before: Tensor, after: Tensor) -> Tensor:
+        return self.generator.surprise(after, before)
 
 
 def subgoals_of(generator: LayerGenerator, world: object) -> StateSubgoals:

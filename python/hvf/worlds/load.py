@@ -27,6 +27,7 @@ _ROLES: Mapping[str, tuple[Role, ...]] = {
     "dynamics": ("dynamics",),
     "generator": ("generator",),
     "cost": ("distance", "generator"),
+    "segment": ("distance",),
 }
 
 
@@ -57,7 +58,7 @@ class Loaded:
     Attributes:
         world: predicts and scores.
         generator: draws subgoals; None where none is asked for.
-        weights: the checkpoints in it, by their part: "dynamics", "generator", "cost".
+        weights: the checkpoints in it, by their part: "dynamics", "generator", "cost", "segment".
         kind: "simulator" for true dynamics; else "object" if one of the models is, or "video".
     """
 
@@ -116,7 +117,8 @@ def load(
     cost = COSTS[world.cost]
     planned: WorldModel[Any] = dynamics
     if cost.world is not None:
-        asked = world.cost_model or cost.model
+        natural = domain.distances.get(world.dynamics) if cost.in_steps else cost.model
+        asked = world.cost_model or natural
         model = module("cost", asked) if asked else None
         planned = cost.world(dynamics, model, planning)
     drawn: SubgoalModel[Any] | None = None
@@ -125,7 +127,25 @@ def load(
     elif generator:
         model = module("generator", world.generator)
         drawn = _plannable(weights["generator"])(model, dynamics)
+    if drawn is not None and planning.segment_cost == "distance":
+        model = module("segment", segment_model(domain, world))
+        drawn = _judge(weights["segment"])(model, drawn)
     return Loaded(planned, drawn, weights)
+
+
+def segment_model(domain: Domain, world: World) -> str:
+    """The distance that segments cost, where they cost one.
+
+    Raises:
+        ValueError: none is named, and none goes with the dynamics.
+    """
+    dynamics = domain.resolved(world).dynamics
+    asked = world.segment_model or domain.distances.get(dynamics)
+    if asked is None:
+        raise ValueError(
+            f"segment_model: name one for the segment cost 'distance'; none goes with {dynamics}"
+        )
+    return asked
 
 
 def load_asked(domain: Domain, world: World, name: str) -> tuple[Weights, Any]:
@@ -207,3 +227,10 @@ def _read(part: str, path: Path, roles: tuple[Role, ...]) -> tuple[Weights, Any]
 
 def _plannable(weights: Weights) -> Any:
     return MODELS[weights.model].resolved("plannable")
+
+
+def _judge(weights: Weights) -> Any:
+    judge = MODELS[weights.model].resolved("judge")
+    if judge is None:
+        raise ValueError(f"segment_model: a {weights.model} model does not judge segments")
+    return judge

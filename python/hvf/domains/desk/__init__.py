@@ -118,10 +118,12 @@ DESK = Domain(
         "layers": WEIGHTS / "desk_dynamics.safetensors",
         "layers-generator": WEIGHTS / "desk_generator.safetensors",
         "layers-proposals": WEIGHTS / "desk_proposals.safetensors",
+        "layers-distance": WEIGHTS / "desk_distance.safetensors",
         "latent": WEIGHTS / "desk_latent.safetensors",
         "cvae": WEIGHTS / "desk_cvae.safetensors",
     },
     generators={"layers": "layers-generator", "latent": "cvae"},
+    distances={"layers": "layers-distance"},
     privileged=("simulator",),
     collection="hvf.domains.desk.collection:DeskCollection",
     # "About 15%", "about 15%" and "over 42%" in the text; all else is a bar chart.

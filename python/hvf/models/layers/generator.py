@@ -19,22 +19,18 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor, nn
 
+from hvf.models.layers.states import StateNetwork, StateSizes
 from hvf.models.vae import gaussian_kl
 
-_SIZES = ("image_size", "action_dim", "sliders", "roaming")
 # Of the draws of a likelihood: always the same ones, so that costs of one search compare.
 _SEED = 0
 
 
 @dataclass(frozen=True)
-class LayerGeneratorConfig:
+class LayerGeneratorConfig(StateSizes):
     """Sizes.
 
     Attributes:
-        image_size: pixels on each side of the images that parts move in.
-        action_dim: action dimensions, `A`.
-        sliders: sliders, `G`.
-        roaming: parts that roam, `R`.
         latent_dim: latent dimensions, `L`.
         hidden: width of the hidden layers.
         depth: hidden layers of each network.
@@ -48,10 +44,6 @@ class LayerGeneratorConfig:
         least_move: motion of a part that is none, pixels.
     """
 
-    image_size: int = 64
-    action_dim: int = 3
-    sliders: int = 2
-    roaming: int = 3
     latent_dim: int = 8
     hidden: int = 192
     depth: int = 2
@@ -64,9 +56,8 @@ class LayerGeneratorConfig:
     least_move: float = 1.5
 
     def __post_init__(self) -> None:
-        for name in (*_SIZES, "latent_dim", "hidden", "depth"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        super().__post_init__()
+        self.at_least_one("latent_dim", "hidden", "depth")
         if self.activation not in ("relu", "silu"):
             raise ValueError(f"activation must be 'relu' or 'silu', got {self.activation!r}")
         for name in (f"{thing}_precision" for thing in ("hand", "slider", "part", "presence")):
@@ -75,36 +66,6 @@ class LayerGeneratorConfig:
         for name in ("least_slide", "least_move"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-
-    @property
-    def state_size(self) -> int:
-        """Length of a state, `X`."""
-        return self.action_dim + self.sliders + 3 * self.roaming
-
-
-class StateNetwork(nn.Module):
-    """A network of states, which it sees scaled to about -1 to 1.
-
-    Args:
-        sizes: of the states.
-    """
-
-    scale: Tensor
-
-    def __init__(self, sizes: LayerGeneratorConfig) -> None:
-        super().__init__()
-        self._roaming = sizes.roaming
-        half = 0.5 * sizes.image_size
-        spread = [2.0] * sizes.action_dim + [0.5] * sizes.sliders
-        self.register_buffer(
-            "scale", torch.tensor(spread + [half, half, 1.0] * sizes.roaming), persistent=False
-        )
-
-    def normal(self, states: Tensor) -> Tensor:
-        """Scaled states `[N, X]`, of `states [N, X]`."""
-        scaled = states / self.scale
-        parts = scaled[:, -3 * self._roaming :] - 0.5
-        return torch.cat([scaled[:, : -3 * self._roaming], parts], dim=1)
 
 
 class LayerGenerator(StateNetwork):
@@ -126,12 +87,12 @@ class LayerGenerator(StateNetwork):
 
     def decided(self, states: Tensor, scenes: Tensor) -> Tensor:
         """What :meth:`rebuild` says, `[N, X]`, once it is decided what moves and what is there."""
-        fixed, parts = states[:, : -3 * self.config.roaming], self._parts(states)
+        fixed, parts = states[:, : -3 * self.config.roaming], self.parts(states)
         hand = fixed[:, : self.config.action_dim]
         was = scenes[:, self.config.action_dim : fixed.shape[1]]
         sliders = fixed[:, self.config.action_dim :].clamp(0, 1)
         sliders = torch.where((sliders - was).abs() < self.config.least_slide, was, sliders)
-        before = self._parts(scenes)
+        before = self.parts(scenes)
         there = (parts[..., 2:] > 0.5).to(parts.dtype) * before[..., 2:]
         stays = (parts - before)[..., :2].norm(dim=2, keepdim=True) < self.config.least_move
         places = torch.where(stays, before[..., :2], parts[..., :2])
@@ -183,7 +144,7 @@ class LayerGenerator(StateNetwork):
         config = self.config
         hand = slice(0, config.action_dim)
         sliders = slice(config.action_dim, config.action_dim + config.sliders)
-        parts, truth = self._parts(rebuilt), self._parts(states)
+        parts, truth = self.parts(rebuilt), self.parts(states)
         # Where something is that is not there does not matter.
         apart = (parts - truth)[..., :2] / config.part_precision * truth[..., 2:]
         wrong = [
@@ -193,9 +154,6 @@ class LayerGenerator(StateNetwork):
             ((parts - truth)[..., 2] / config.presence_precision).square().sum(dim=1),
         ]
         return 0.5 * torch.stack(wrong).sum(dim=0)
-
-    def _parts(self, states: Tensor) -> Tensor:
-        return states[:, -3 * self.config.roaming :].reshape(len(states), -1, 3)
 
 
 def _network(config: LayerGeneratorConfig, inputs: int, outputs: int) -> nn.Sequential:

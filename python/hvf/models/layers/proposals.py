@@ -25,10 +25,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig, StateNetwork
+from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
+from hvf.models.layers.states import StateNetwork
 
-# Presence from which on a part is there.
-_THERE = 0.5
 # Logarithms of the least and largest standard deviation; 1 is that of the prior.
 _LOG_STD = (-2.0, 0.5)
 
@@ -100,7 +99,7 @@ class LayerProposals(StateNetwork):
         """
         hot = scenes.new_zeros(len(scenes), self.config.most)
         hot[:, left - 1] = 1.0
-        seen = torch.cat([self.normal(scenes), self.normal(self._there(scenes, goals)), hot], 1)
+        seen = torch.cat([self.normal(scenes), self.normal(self.seen_from(scenes, goals)), hot], 1)
         mean, log_std = self.network(seen).chunk(2, dim=1)
         low, high = _LOG_STD
         return mean, low + (high - low) * torch.sigmoid(log_std)
@@ -184,7 +183,7 @@ class LayerProposals(StateNetwork):
     def costs(self, path: Tensor) -> Tensor:
         """Cost of the hardest segment, nats `[N]`, along states `path [N, K + 2, X]`."""
         (drawn_by,) = self._generator
-        last = self._there(path[:, 0], path[:, -1])
+        last = self.seen_from(path[:, 0], path[:, -1])
         ends = [*path[:, 1:-1].unbind(dim=1), last]
         each = [drawn_by.surprise(end, path[:, k]) for k, end in enumerate(ends)]
         return torch.stack(each).amax(dim=0)
@@ -197,12 +196,3 @@ class LayerProposals(StateNetwork):
         for each in latents.unbind(dim=1):
             path.append(drawn_by.decode(each, path[-1]))
         return torch.stack([*path, goals], dim=1), latents
-
-    def _there(self, scenes: Tensor, goals: Tensor) -> Tensor:
-        """Goals in which parts that are gone lie where the scene has them, which says nothing."""
-        roaming = self.config.generator.roaming
-        was, parts = (each[:, -3 * roaming :].reshape(-1, roaming, 3) for each in (scenes, goals))
-        there = parts[..., 2:] > _THERE
-        places = torch.where(there, parts[..., :2], was[..., :2])
-        parts = torch.cat([places, parts[..., 2:]], dim=2).flatten(1)
-        return torch.cat([goals[:, : -3 * roaming], parts], dim=1)

@@ -11,14 +11,13 @@ import numpy as np
 import torch
 
 from hvf.models.checkpoint import load_model
-from hvf.models.layers.dynamics import LayerDynamics
 from hvf.models.layers.generator import LayerGenerator
 from hvf.models.layers.proposals import LayerProposals, ProposalsConfig
 from hvf.training.loop import LoopConfig, Validation, seeded
-from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
-from hvf.training.recipes.layers_generator import StatePairs
+from hvf.training.recipe import Stage, Stages, TrainingData
+from hvf.training.recipes.on_states import OnStates
 from hvf.training.tracks.kept import checksum
-from hvf.training.tracks.layers import LayerTracks
+from hvf.training.tracks.pairs import StatePairs
 
 # Shares of changes in which the hand alone moves, something slides, a part moves, a part is gone:
 # goals of tasks hold mostly rare ones.
@@ -30,14 +29,11 @@ _MEASURED = 128
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class LayersProposalsRecipe(Recipe):
+class LayersProposalsRecipe(OnStates):
     """Training of the proposals.
 
     Attributes:
-        dynamics: trained layers dynamics (``hvf train layers``).
         generator: trained generator of states (``hvf train layers-generator``).
-        episodes: episodes to learn from, at most.
-        batch_size: scenes with goals per step.
         hindsight_steps: the first steps, that learn from recorded changes; the others follow the
             best proposals.
         searched: scenes with goals per step of these.
@@ -47,10 +43,8 @@ class LayersProposalsRecipe(Recipe):
 
     name: ClassVar[str] = "layers-proposals"
 
-    dynamics: Path = Path("runs/layers/model.safetensors")
-    generator: Path = Path("runs/layers-generator/model.safetensors")
-    episodes: int = 4000
     batch_size: int = 256
+    generator: Path = Path("runs/layers-generator/model.safetensors")
     hindsight_steps: int = 6000
     searched: int = 16
     model: ProposalsConfig = ProposalsConfig()
@@ -68,41 +62,29 @@ class LayersProposalsRecipe(Recipe):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.at_least_one("episodes", "batch_size", "searched")
+        self.at_least_one("searched")
         if self.hindsight_steps < 0:
             raise ValueError(f"hindsight_steps must not be negative, got {self.hindsight_steps}")
 
     def stages(self, data: TrainingData) -> Stages:
         """One stage, in two parts: hindsight, then the best proposals."""
         seed = self.loop.seed
-        dynamics = load_model(self.dynamics, LayerDynamics, environment=data.environment)
+        dynamics = self.seeing(data)
         generator = load_model(self.generator, LayerGenerator, environment=data.environment)
         found, expected = generator.config.state_size, dynamics.config.perception.state_size
         if found != expected:
             raise ValueError(f"generator: draws states of length {found}, the dynamics' {expected}")
         config = dataclasses.replace(self.model, generator=generator.config)
-        episodes = min(self.episodes, data.training)
-        tracks = LayerTracks(
-            data.path, dynamics.perception, episodes, console=data.console, camera=data.camera
-        )
         changes = Recombined(
-            StatePairs(tracks, self.batch_size, seed, _SHARES),
+            StatePairs(self.tracks(data, dynamics), self.batch_size, seed, _SHARES),
             generator,
             config.most,
             self.hindsight_steps,
             self.searched,
             seed,
         )
-        held_out = LayerTracks(
-            data.path,
-            dynamics.perception,
-            len(data.held_out.frames),
-            first=data.training,
-            console=data.console,
-            camera=data.camera,
-        )
         measured = Recombined(
-            StatePairs(held_out, _MEASURED, seed, _SHARES),
+            StatePairs(self.held_out(data, dynamics), _MEASURED, seed, _SHARES),
             generator,
             config.most,
             0,
@@ -115,10 +97,8 @@ class LayersProposalsRecipe(Recipe):
             self.loop,
             "proposals: which change comes next on the way to a goal",
             settings={
-                "dynamics": checksum(dynamics),
+                **self.settings(dynamics),
                 "generator": checksum(generator),
-                "episodes": self.episodes,
-                "batch_size": self.batch_size,
                 "hindsight_steps": self.hindsight_steps,
                 "searched": self.searched,
             },

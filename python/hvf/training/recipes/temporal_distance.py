@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch.nn import functional as F
 
 from hvf.data.loader import EpisodePool
+from hvf.data.temporal import doubling_steps
 from hvf.images import frame_grid
 from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.temporal_distance import TemporalDistance, TemporalDistanceConfig
@@ -43,7 +44,7 @@ class KeypointPairs:
         rng = np.random.default_rng([self._seed, step])
         episode = rng.integers(len(self._keypoints), size=self._count)
         longest = self._keypoints.shape[1] - 1
-        steps = (np.exp2(rng.uniform(-1, np.log2(longest + 1), self._count))).astype(np.int64)
+        steps = doubling_steps(rng, longest, self._count)
         first = rng.integers(0, longest - steps + 1)
         times = np.stack([first, first + steps])
         turned = rng.random(self._count) < 0.5
