@@ -98,14 +98,33 @@ def test_every_doubling_of_steps_is_drawn_alike() -> None:
 # ---- the network -------------------------------------------------------------------------------
 
 
-def test_distance_is_the_expected_class_and_how_seldom_such_a_pair_is_of_one_episode() -> None:
+def test_distance_is_the_expected_class_and_how_seldom_nothing_is_transplanted() -> None:
     model = network(0)
     before, after = states_of(1, 30), states_of(2, 30)
-    logits = model.logits(before, after).double().numpy()
-    odds = np.exp(logits)
-    share = odds[:, :-1].sum(axis=1) / odds.sum(axis=1)
-    steps = (odds[:, :-1] / odds[:, :-1].sum(axis=1, keepdims=True)) @ np.arange(5)
-    np.testing.assert_allclose(model(before, after), steps - np.log2(share), rtol=1e-5)
+    steps, transplanted = (each.double().numpy() for each in model.logits(before, after))
+    assert steps.shape == (30, 5)
+    assert transplanted.shape == (30, 5)
+    odds = np.exp(steps)
+    expected = (odds / odds.sum(axis=1, keepdims=True)) @ np.arange(5)
+    fitting = np.prod(1 / (1 + np.exp(transplanted)), axis=1)
+    np.testing.assert_allclose(model(before, after), expected - np.log2(fitting), rtol=1e-5)
+
+
+def test_two_things_that_do_not_fit_are_as_far_as_both_are() -> None:
+    model = network(6)
+    before, after = states_of(1, 30), states_of(2, 30)
+    after[:, :5] = before[:, :5]
+
+    def seldom(changed: Tensor) -> Tensor:
+        return torch.nn.functional.softplus(model.logits(before, changed)[1]).sum(dim=1)
+
+    none = seldom(before)
+    alone = []
+    for part in range(3):
+        one = before.clone()
+        one[:, 5 + 3 * part : 8 + 3 * part] = after[:, 5 + 3 * part : 8 + 3 * part]
+        alone.append(seldom(one) - none)
+    torch.testing.assert_close(seldom(after), none + sum(alone), rtol=1e-4, atol=1e-4)
 
 
 def test_it_does_not_matter_which_part_is_which() -> None:
@@ -151,34 +170,60 @@ def same_thing(a: Any, b: Any, thing: int) -> bool:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_transplanted_things_are_where_another_pair_has_them(
+def test_transplanted_things_are_where_other_episodes_have_them(
     tracks: LayerTracks, share: float
 ) -> None:
-    pairs, count = StatePairs(tracks, 200, 7), []
+    pairs, counts, gone = StatePairs(tracks, 200, 7), [], []
     sampler = Transplants(pairs, tracks, share, 7)
-    for step in range(3):
+    parts = tracks.truth[..., 5:].reshape(-1, 3, 3)
+    places = {tuple(place) for place in parts[tracks.known.reshape(-1, 3) == 2][:, :2].tolist()}
+    slides = [set(tracks.truth[..., slider].ravel().tolist()) for slider in (3, 4)]
+    for step in range(4):
         batch, again = sampler.batch(step), sampler.batch(step)
         assert all(batch[name].equal(again[name]) for name in batch)
-        own, donors = pairs.batch(2 * step), pairs.batch(2 * step + 1)["states"].numpy()
+        own = pairs.batch(step)
         assert batch["scenes"].equal(own["scenes"])
         assert batch["steps"].equal(own["steps"])
         for n in range(200):
-            was, found, donor = own["states"][n].numpy(), batch["states"][n].numpy(), donors[n]
+            was, found = own["states"][n].numpy(), batch["states"][n].numpy()
             assert (found[:3] == was[:3]).all()
             columns = [[3], [4], *([5 + 3 * part + k for k in range(3)] for part in range(3))]
-            taken = [
-                thing for thing in range(5) if (found[columns[thing]] != was[columns[thing]]).any()
-            ]
-            assert len(taken) <= 2
-            assert all((found[columns[thing]] == donor[columns[thing]]).all() for thing in taken)
-            seen = not all(same_thing(found, was, thing) for thing in range(5))
-            assert bool(batch["apart"][n]) == seen
-            count.append(len(taken))
+            taken = [k for k, place in enumerate(columns) if (found[place] != was[place]).any()]
+            for thing in taken:
+                values = found[columns[thing]].tolist()
+                if thing < 2:
+                    assert values[0] in slides[thing]
+                else:
+                    assert tuple(values[:2]) in places
+                    gone.append(1 - values[2])
+            elsewhere = [not same_thing(found, was, thing) for thing in range(5)]
+            assert batch["transplanted"][n].tolist() == elsewhere
+            counts.append(len(taken))
     if share == 0:
-        assert max(count) == 0
-    else:
-        assert set(count) >= {0, 1, 2}
-        assert 0.5 * share < np.mean(np.array(count) > 0) <= share + 0.1
+        assert not any(counts)
+        return
+    # Five coins each, of which a few show no change.
+    assert np.mean(counts) == pytest.approx(2.4 * share, abs=0.3)
+    assert np.mean(gone) == pytest.approx(0.25, abs=0.06)
+
+
+def test_rare_places_are_transplanted_as_often_as_common_ones(tracks: LayerTracks) -> None:
+    sampler = Transplants(StatePairs(tracks, 500, 7), tracks, 1.0, 7)
+    parts = tracks.truth[..., 5:].reshape(-1, 3, 3)
+    known = np.round(parts[tracks.known.reshape(-1, 3) == 2][:, :2] / 4).astype(int)
+    cells, common = np.unique(known, axis=0, return_counts=True)
+    drawn = np.zeros(len(cells))
+    for step in range(40):
+        batch = sampler.batch(step)
+        where = batch["transplanted"][:, 2:].numpy()
+        found = batch["states"][:, 5:].reshape(-1, 3, 3).numpy()[where]
+        for place in np.round(found[:, :2] / 4).astype(int):
+            drawn += (cells == place).all(axis=1)
+    # The most common cell holds far more of what was recorded than an even share.
+    assert common.max() > 3 * common.mean()
+    # A gone part may be drawn where it was, too, and a small change counts as none.
+    assert drawn.max() < 1.6 * drawn.mean()
+    assert drawn.min() > 0.4 * drawn.mean()
 
 
 def test_pairs_tell_the_steps_between_them(tracks: LayerTracks) -> None:
@@ -247,13 +292,13 @@ def test_training_tells_transplants_and_counts_steps(
     batch = Transplants(pairs, tracks, 0.5, 1).batch(9)
     with torch.inference_mode():
         distance = model(batch["scenes"], batch["states"])
-    apart = batch["apart"]
-    # Of a pair of either kind the transplant is farther, nine times of ten.
+    apart = batch["transplanted"].any(dim=1)
+    # A coin would be right every second time.
     farther = (distance[apart][:, None] > distance[~apart][None]).float().mean()
     assert float(farther) > 0.85
     steps = batch["steps"][~apart]
     near, far = distance[~apart][steps <= 2], distance[~apart][steps >= 8]
-    assert float((far[:, None] > near[None]).float().mean()) > 0.85
+    assert float((far[:, None] > near[None]).float().mean()) > 0.75
 
 
 # ---- what it is good for -----------------------------------------------------------------------

@@ -2,11 +2,11 @@
 
 Pixels say how much looks different, the generator's likelihood how rarely play leads from one
 state to another; this says how long it takes. A classifier is shown two states and says how many
-steps were between them, in classes that double in width, or that they are not of one episode. The
-latter is what a search needs to know: trained on pairs of one episode alone, the classifier has
-never seen what cannot be reached, and a search on it finds subgoals that it has no idea of. So half
-of what it is shown has one or two things where they were in another episode
-(:mod:`hvf.training.tracks.transplants`).
+steps were between them, in classes that double in width. Trained on pairs of one episode alone it
+has never seen what cannot be reached, and a search on it finds subgoals that it has no idea of. So
+it also says of each slider and part whether it is where its own episode had it, or another one did:
+half of what it is shown has things transplanted (:mod:`hvf.training.tracks.transplants`). Things
+are judged one by one, so that two that do not fit are worse than one, which few pairs could teach.
 
 Letters in shapes: `N` pairs, `A` action dimensions, `G` sliders, `R` parts that roam, `X` length of
 a state (:mod:`hvf.models.layers.perception`).
@@ -36,12 +36,12 @@ class LayerDistanceConfig(StateSizes):
 
     Attributes:
         part_hidden: width of the network that all parts share.
-        hidden: width of the two hidden layers after it.
+        hidden: width of the two hidden layers of the other networks.
         classes: of numbers of steps (:mod:`hvf.models.doublings`).
     """
 
     part_hidden: int = 64
-    hidden: int = 128
+    hidden: int = 80
     classes: int = 8
 
     def __post_init__(self) -> None:
@@ -59,23 +59,19 @@ class LayerDistance(StateNetwork):
     def __init__(self, config: LayerDistanceConfig) -> None:
         super().__init__(config)
         self.config = config
-        fixed = config.action_dim + config.sliders
-        self.part = nn.Sequential(
-            nn.Linear(2 * config.action_dim + 8, config.part_hidden),
-            nn.SiLU(),
-            nn.Linear(config.part_hidden, config.part_hidden),
-            nn.SiLU(),
-        )
-        self.layers = nn.Sequential(
-            nn.Linear(config.part_hidden + 3 * fixed, config.hidden),
-            nn.SiLU(),
-            nn.Linear(config.hidden, config.hidden),
-            nn.SiLU(),
-            nn.Linear(config.hidden, config.classes + 1),
-        )
+        fixed = 3 * (config.action_dim + config.sliders)
+        part, hidden = config.part_hidden, config.hidden
+        self.part = _network(2 * config.action_dim + 8, part, part + 1)
+        self.fixed = _network(fixed, hidden, config.sliders)
+        self.steps = _network(part + fixed, hidden, config.classes)
 
-    def logits(self, before: Tensor, after: Tensor) -> Tensor:
-        """Logits `[N, classes + 1]` of `before` and `after [N, X]`; the last: of two episodes."""
+    def logits(self, before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
+        """What is said of `before` and `after [N, X]`.
+
+        Returns:
+            Logits of the classes of steps, `[N, classes]`, if nothing is transplanted; and of each
+            slider and part being so, `[N, G + R]`.
+        """
         config = self.config
         fixed = config.action_dim + config.sliders
         was, will = self.normal(before), self.normal(self.seen_from(before, after))
@@ -90,9 +86,10 @@ class LayerDistance(StateNetwork):
             ],
             dim=2,
         )
-        seen = [self.part(parts).sum(dim=1), was[:, :fixed], will[:, :fixed], change[:, :fixed]]
-        scores: Tensor = self.layers(torch.cat(seen, dim=1))
-        return scores
+        rest = torch.cat([each[:, :fixed] for each in (was, will, change)], dim=1)
+        seen = self.part(parts)
+        steps = self.steps(torch.cat([seen[..., 1:].sum(dim=1), rest], dim=1))
+        return steps, torch.cat([self.fixed(rest), seen[..., 0]], dim=1)
 
     def forward(self, before: Tensor, after: Tensor) -> Tensor:
         """Distance from `before` to `after [N, X]`: about the binary logarithm of twice the steps.
@@ -101,25 +98,36 @@ class LayerDistance(StateNetwork):
         pair is one: play that gets there in one of `q` tries takes `q` times as long. Not bounded,
         so that a search knows which of two ways that are both unheard of is the better one.
         """
-        logits = self.logits(before, after)
-        steps = logits[:, :-1]
-        seldom = torch.logsumexp(logits, dim=1) - torch.logsumexp(steps, dim=1)
-        return expected_class(steps) + seldom / math.log(2.0)
+        steps, transplanted = self.logits(before, after)
+        return expected_class(steps) + F.softplus(transplanted).sum(dim=1) / math.log(2.0)
 
     def loss(
         self, batch: Mapping[str, Tensor], generator: torch.Generator, step: int
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Cross entropy, in nats.
+        """Cross entropies, in nats: of what is transplanted, and of the steps where nothing is.
 
         The batch holds `scenes` and `states` `[N, X]`, `steps [N]` from one to the other, and bool
-        `apart [N]`: whether they are of two episodes.
+        `transplanted [N, G + R]`.
         """
-        logits = self.logits(batch["scenes"], batch["states"])
-        labels = self.labels(batch)
-        right = (logits.argmax(dim=1) == labels).float().mean()
-        return F.cross_entropy(logits, labels), {"right": right.detach()}
+        steps, apart = self.logits(batch["scenes"], batch["states"])
+        labels = batch["transplanted"]
+        whole = ~labels.any(dim=1)
+        entropies = F.binary_cross_entropy_with_logits(apart, labels.float(), reduction="none")
+        classes = class_of(batch["steps"], self.config.classes)
+        each = F.cross_entropy(steps, classes, reduction="none")
+        pieces = {
+            "transplants": entropies.sum(dim=1).mean(),
+            "steps": (each * whole).sum() / whole.sum().clamp_min(1),
+        }
+        loss = pieces["transplants"] + pieces["steps"]
+        return loss, {name: value.detach() for name, value in pieces.items()}
 
-    def labels(self, batch: Mapping[str, Tensor]) -> Tensor:
-        """Classes int64 `[N]` of a batch of :meth:`loss`."""
-        classes = self.config.classes
-        return torch.where(batch["apart"], classes, class_of(batch["steps"], classes))
+
+def _network(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Linear(inputs, hidden),
+        nn.SiLU(),
+        nn.Linear(hidden, hidden),
+        nn.SiLU(),
+        nn.Linear(hidden, outputs),
+    )

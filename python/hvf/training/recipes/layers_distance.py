@@ -6,10 +6,10 @@ import dataclasses
 from typing import ClassVar
 
 import torch
-from torch.nn import functional as F
 
 from hvf.data.temporal import doubling_steps
 from hvf.images import frame_grid
+from hvf.models.doublings import class_of
 from hvf.models.layers.distance import LayerDistance, LayerDistanceConfig
 from hvf.models.layers.dynamics import LayerDynamics
 from hvf.training.loop import LoopConfig, Validation, seeded
@@ -87,19 +87,24 @@ class LayersDistanceRecipe(OnStates):
 def validate_layers_distance(
     model: LayerDistance, dynamics: LayerDynamics, pairs: Transplants, data: TrainingData
 ) -> Validation:
-    """Cross entropy on held-out pairs, how well transplants are told, and a picture.
+    """The loss on held-out pairs, how well transplants are told, and a picture.
 
-    ``told``: of pairs of one episode and transplants, the share that is classed as what it is, mean
-    of both. The picture's rows: scenes; the distance to each if its first part were moved to every
-    place (bright is near).
+    ``told``: of things in their place and of transplanted ones, the share that is taken for what
+    it is, mean of both. ``right``: of pairs without any, the share whose class of steps is found.
+    The picture's rows: scenes; the distance to each if its first part were moved to every place
+    (bright is near).
     """
     batch = pairs.batch(0)
-    logits, labels = model.logits(batch["scenes"], batch["states"]), model.labels(batch)
-    called = logits.argmax(dim=1) == model.config.classes
-    told = [(called == batch["apart"])[batch["apart"] == kind].float().mean() for kind in (0, 1)]
+    loss, pieces = model.loss(batch, torch.Generator(), 0)
+    steps, apart = model.logits(batch["scenes"], batch["states"])
+    labels = batch["transplanted"]
+    called = (apart > 0) == labels
+    told = [called[labels == kind].float().mean() for kind in (False, True)]
+    right = steps.argmax(dim=1) == class_of(batch["steps"], model.config.classes)
     metrics = {
-        "nats": float(F.cross_entropy(logits, labels)),
-        "right": float((logits.argmax(dim=1) == labels).float().mean()),
+        "nats": float(loss),
+        **{name: float(value) for name, value in pieces.items()},
+        "right": float(right[~labels.any(dim=1)].float().mean()),
         "told": float(torch.stack(told).mean()),
     }
     frames = data.held_out.frames[:_SHOWN, 0]
