@@ -94,7 +94,7 @@ HVF_OPTIONS: dict[str, Source] = {
     "mpc": of(None, *PLANNERS),
     "subgoals": SETTINGS,
     "prune": of(True, False),
-    "reduction": of("max", "mean"),
+    "reduction": of("max", "mean", "max-sum"),
     "share_rollouts": of(True, False),
     "chunk": SETTINGS,
     "segment_cost": of("planned", "likelihood"),

@@ -193,7 +193,7 @@ SOME: dict[str, Any] = {
     "initial_high": st.none() | st.sampled_from([(1.0, 2.0), (1.0, 2.5)]),
     "warm_start": st.booleans(),
     "subgoal_samples": st.sampled_from([100, 200]),
-    "reduction": st.sampled_from(["max", "mean"]),
+    "reduction": st.sampled_from(["max", "mean", "max-sum"]),
     "steps": st.none() | st.sampled_from([5, 50]),
     "threshold": st.sampled_from([0.0, 1e-3, 1e-2]),
 }

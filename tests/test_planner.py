@@ -161,9 +161,16 @@ class Judge(Positions):
         return costs
 
 
-@pytest.mark.parametrize("reduction", ["max", "mean"])
+REDUCTIONS: dict[str, Callable[[Floats], Floats]] = {
+    "max": lambda segments: segments.max(axis=1),
+    "mean": lambda segments: segments.mean(axis=1),
+    "max-sum": lambda segments: segments.max(axis=1) + 0.1 * segments.sum(axis=1),
+}
+
+
+@pytest.mark.parametrize("reduction", REDUCTIONS)
 def test_a_search_by_likelihood_equals_a_numpy_search_over_the_same_latents(
-    reduction: Literal["max", "mean"],
+    reduction: Literal["max", "mean", "max-sum"],
 ) -> None:
     judge, world = Judge(), PointMass()
     assert isinstance(judge, protocols.Judging)
@@ -177,7 +184,7 @@ def test_a_search_by_likelihood_equals_a_numpy_search_over_the_same_latents(
     np.testing.assert_array_equal(drawn, result.latents[None])
     best = np.inf
     for iteration, (latents, segments) in enumerate(asked):
-        costs = (segments.max(axis=1) if reduction == "max" else segments.mean(axis=1)).astype("f4")
+        costs = REDUCTIONS[reduction](segments).astype("f4")
         order = np.argsort(costs, kind="stable")[:5]
         assert result.history["best"][iteration] == pytest.approx(costs[order[0]], rel=1e-6)
         _, std = refit(latents.reshape(24, 4)[order])
@@ -189,6 +196,25 @@ def test_a_search_by_likelihood_equals_a_numpy_search_over_the_same_latents(
     # The answer alone is planned: three segments, each once an iteration.
     problems = sum(len(actions) for _, _, actions, _ in world.calls)
     assert problems == int(result.plans.iterations.sum())
+
+
+@pytest.mark.parametrize("reduction", REDUCTIONS)
+def test_a_planned_search_costs_what_its_reduction_makes_of_its_segments(
+    reduction: Literal["max", "mean", "max-sum"],
+) -> None:
+    def found(prune: bool) -> hvf_core.SearchResult:
+        search = HVF(
+            mpc=SMALL, samples=24, elites=5, iterations=3, reduction=reduction, prune=prune
+        )
+        return search.search(PointMass(), Positions(), START, GOAL, seed=3)
+
+    result, plain = found(True), found(False)
+    segments = np.asarray(result.segment_costs)[None]
+    assert result.cost == pytest.approx(REDUCTIONS[reduction](segments).item(), rel=1e-6)
+    assert (result.history["skipped"].sum() > 0) == (reduction == "max")
+    assert result.cost == plain.cost
+    np.testing.assert_array_equal(result.latents, plain.latents)
+    np.testing.assert_array_equal(result.segment_costs, plain.segment_costs)
 
 
 def test_a_search_by_likelihood_needs_a_generator_that_knows() -> None:

@@ -171,7 +171,7 @@ planners = st.one_of(
         HVF,
         mpc=controllers,
         subgoals=st.integers(0, 1),
-        reduction=st.sampled_from(["max", "mean"]),
+        reduction=st.sampled_from(["max", "mean", "max-sum"]),
         prune=st.booleans(),
         covariance=st.sampled_from(["diagonal", "full"]),
         shrinkage=st.sampled_from([0.1, 0.25]),
@@ -223,8 +223,9 @@ def test_every_option_is_part_of_the_hash() -> None:
     ]
     made: list[Any] = [VisualMPC(), *(VisualMPC(**option) for option in options)]
     made += [HVF(mpc=mpc) for mpc in made]
-    made += [HVF(subgoals=1), HVF(reduction="mean"), HVF(prune=False), HVF(share_rollouts=False)]
-    made += [HVF(best="last"), HVF(samples=201), HVF(segment_cost="likelihood")]
+    made += [HVF(subgoals=1), HVF(prune=False), HVF(share_rollouts=False)]
+    made += [HVF(reduction="mean"), HVF(reduction="max-sum"), HVF(best="last")]
+    made += [HVF(samples=201), HVF(segment_cost="likelihood")]
     made += [HVF(**option) for option in BUDGET_OPTIONS]
     assert len(set(made)) == len({hash(planner) for planner in made}) == len(made)
     assert VisualMPC(min_variance=0.0) == VisualMPC(min_variance=-0.0)

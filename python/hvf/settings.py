@@ -132,7 +132,9 @@ class Planning:
         subgoal_min_std: least standard deviation of a refit; latents have 1 at first.
         subgoal_covariance: diagonal, or full over the latents of all subgoals.
         subgoal_shrinkage: how far the correlations of a full one are shrunk.
-        reduction: cost of a sample over its segments: the maximum (the paper's) or the mean.
+        reduction: cost of a sample over its segments: the maximum (the paper's), the mean, or the
+            maximum and a tenth of the sum, which tells samples apart whose hardest segments are
+            about as hard.
         segment_cost: who says what a segment costs: the planner, which plans it (the paper's); the
             generator, by how likely it is that random play leads from one frame to the next, for
             generators that know, without a plan and far faster; or a distance, by how many steps
@@ -184,7 +186,7 @@ class Planning:
     subgoal_min_std: float = 0.0
     subgoal_covariance: Literal["diagonal", "full"] = "diagonal"
     subgoal_shrinkage: float = 0.1
-    reduction: Literal["max", "mean"] = "max"
+    reduction: Literal["max", "mean", "max-sum"] = "max"
     segment_cost: Literal["planned", "likelihood", "distance"] = "planned"
     steps: int | None = None
     steps_per_subgoal: int = 10

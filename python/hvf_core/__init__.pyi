@@ -601,7 +601,10 @@ class HVF:
     Args:
         mpc: How a segment is planned; None for `VisualMPC()`.
         subgoals: Number of subgoals (`K`); 0 plans to the goal directly.
-        reduction: Cost of a sample from those of its segments: 'max' or 'mean'.
+        reduction: Cost of a sample from those of its segments: 'max', the hardest (the paper's),
+            'mean', or 'max-sum', the hardest and a tenth of the sum of all, so that of samples
+            whose hardest segments are about as hard the one with the least to do in all counts as
+            the best.
         prune: Plan the segment of a sample first that a few candidates take for its hardest, drop
             samples whose worst segment exceeds the `elites`-th best complete sample, and plan
             other segments only until they are known to be no harder. Changes nothing but the time,
@@ -651,7 +654,7 @@ class HVF:
         elites: SupportsIndex = 40,
         iterations: SupportsIndex = 5,
         min_variance: float = 1e-3,
-        reduction: Literal["max", "mean"] = "max",
+        reduction: Literal["max", "mean", "max-sum"] = "max",
         keep_elites: SupportsIndex = 0,
         prune: bool = True,
         share_rollouts: bool = True,
@@ -686,7 +689,7 @@ class HVF:
     def min_variance(self) -> float:
         """The argument of this name."""
     @property
-    def reduction(self) -> Literal["max", "mean"]:
+    def reduction(self) -> Literal["max", "mean", "max-sum"]:
         """The argument of this name."""
     @property
     def keep_elites(self) -> int:
@@ -794,7 +797,7 @@ class SearchResult:
 
     @property
     def cost(self) -> float:
-        """Cost of the segments together: the maximum (or mean) of `segment_costs`."""
+        """Cost of the segments together: what `reduction` makes of `segment_costs`."""
 
     @property
     def segment_costs(self) -> NDArray[np.float32]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hvf.agents.frames import observed
 from hvf.protocols import (
@@ -140,11 +141,28 @@ class Amortised(Searched):
             noise[0] = 0.0
             latents = mean + std * noise.astype(np.float32)
             segments = np.asarray(generator.segment_costs(start, goal, latents))
-            mean_counts = self._search(count).reduction == "mean"
-            hard = segments.mean(axis=1) if mean_counts else segments.max(axis=1)
+            hard = _reduced(segments, self._search(count).reduction)
             best = latents[np.argmin(np.where(np.isnan(hard), np.inf, hard))]
         frames: Frames = generator.decode(start, best[None])
         return frames
+
+
+_TIE = 0.1
+"""Share of the sum in ``max-sum``, which is that of the search."""
+
+
+def _reduced(
+    segments: NDArray[np.floating[Any]], reduction: Literal["max", "mean", "max-sum"]
+) -> NDArray[np.floating[Any]]:
+    """Costs of samples, ``[M]``, from those of their segments, ``[M, K + 1]``, as of a search."""
+    costs: NDArray[np.floating[Any]]
+    if reduction == "mean":
+        costs = segments.mean(axis=1)
+        return costs
+    costs = segments.max(axis=1)
+    if reduction == "max-sum":
+        costs = costs + _TIE * segments.sum(axis=1)
+    return costs
 
 
 def proposed(count: int, proposer: Proposer) -> SubgoalSource:

@@ -19,6 +19,8 @@ _NO_SCENE: Mapping[str, Any] = {"scene_weight": 0.0}
 _CHOICES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "no subgoals": ("none", {}),
     "HVF": ("hvf", {}),
+    "HVF, maximum and sum of segments": ("hvf", {"reduction": "max-sum"}),
+    "HVF, mean of segments": ("hvf", {"reduction": "mean"}),
     "true subgoals": ("ground-truth", {}),
     "no subgoals, whole images alone": ("none", _NO_SCENE),
     "HVF, whole images alone": ("hvf", _NO_SCENE),

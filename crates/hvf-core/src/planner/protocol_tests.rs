@@ -384,12 +384,11 @@ proptest! {
     fn a_stochastic_search_is_the_same_with_its_savings(
         seed: u64,
         subgoals in 0usize..3,
-        mean: bool,
+        reduction in prop::sample::select(&[Reduction::Max, Reduction::Mean, Reduction::MaxSum]),
         prune: bool,
         shares: bool,
         max_candidates in 1usize..3000,
     ) {
-        let reduction = if mean { Reduction::Mean } else { Reduction::Max };
         let plain = HvfConfig {
             prune: false, share_rollouts: false, reduction, ..small_search(subgoals)
         };

@@ -34,7 +34,10 @@ use crate::threads::detached;
 /// Args:
 ///     mpc: How a segment is planned; None for `VisualMPC()`.
 ///     subgoals: Number of subgoals (`K`); 0 plans to the goal directly.
-///     reduction: Cost of a sample from those of its segments: 'max' or 'mean'.
+///     reduction: Cost of a sample from those of its segments: 'max', the hardest (the paper's),
+///         'mean', or 'max-sum', the hardest and a tenth of the sum of all, so that of samples
+///         whose hardest segments are about as hard the one with the least to do in all counts as
+///         the best.
 ///     prune: Plan the segment of a sample first that a few candidates take for its hardest, drop
 ///         samples whose worst segment exceeds the `elites`-th best complete sample, and plan
 ///         other segments only until they are known to be no harder. Changes nothing but the time,
@@ -103,9 +106,10 @@ impl PyHvf {
         let reduction = match &*reduction.get("reduction")? {
             "max" => Reduction::Max,
             "mean" => Reduction::Mean,
+            "max-sum" => Reduction::MaxSum,
             other => {
                 return Err(PyValueError::new_err(format!(
-                    "reduction: must be 'max' or 'mean', got '{other}'"
+                    "reduction: must be 'max', 'mean' or 'max-sum', got '{other}'"
                 )))
             }
         };
@@ -255,6 +259,7 @@ impl PyHvf {
         match self.config.reduction {
             Reduction::Max => "max",
             Reduction::Mean => "mean",
+            Reduction::MaxSum => "max-sum",
         }
     }
     /// The argument of this name.

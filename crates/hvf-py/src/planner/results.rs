@@ -183,7 +183,7 @@ pub struct PySearchResult {
     /// Subgoals in the order to reach them: frames of the model, `[K]`.
     #[pyo3(get)]
     pub subgoals: Py<PyAny>,
-    /// Cost of the segments together: the maximum (or mean) of `segment_costs`.
+    /// Cost of the segments together: what `reduction` makes of `segment_costs`.
     #[pyo3(get)]
     pub cost: f32,
     /// Best plan of every segment, `K + 1`.

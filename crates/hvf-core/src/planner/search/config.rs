@@ -13,21 +13,35 @@ pub enum Reduction {
     Max,
     /// The mean segment.
     Mean,
+    /// The hardest segment, and [`Reduction::TIE`] of the sum of all. Of samples whose hardest
+    /// segments are about as hard the one with the least to do in all is the cheapest.
+    MaxSum,
 }
 
 impl Reduction {
+    /// Share of the sum in [`Reduction::MaxSum`].
+    ///
+    /// Where two segments are about as hard, the maximum hardly tells finishing one thing in each
+    /// from doing half of both in each; the sum says which is less work in all. It is a share, and
+    /// not the second key of an order, since maxima are never quite equal as floats; and a small
+    /// one, so that the hardest segment decides where samples differ in it.
+    pub const TIE: f64 = 0.1;
+
     /// The cost of a sample from those of its segments; NaN if one is.
-    pub(super) fn of(self, costs: impl ExactSizeIterator<Item = f32>) -> f32 {
+    pub(super) fn of(self, costs: impl ExactSizeIterator<Item = f32> + Clone) -> f32 {
         let count = costs.len() as f64;
+        let sum: f64 = costs.clone().map(f64::from).sum();
+        let hardest = costs.fold(f32::NEG_INFINITY, |most, cost| {
+            if most.is_nan() || cost.is_nan() {
+                f32::NAN
+            } else {
+                most.max(cost)
+            }
+        });
         match self {
-            Self::Max => costs.fold(f32::NEG_INFINITY, |most, cost| {
-                if most.is_nan() || cost.is_nan() {
-                    f32::NAN
-                } else {
-                    most.max(cost)
-                }
-            }),
-            Self::Mean => (costs.map(f64::from).sum::<f64>() / count) as f32,
+            Self::Max => hardest,
+            Self::Mean => (sum / count) as f32,
+            Self::MaxSum => (f64::from(hardest) + Self::TIE * sum) as f32,
         }
     }
 }
@@ -118,3 +132,7 @@ impl HvfConfig {
         search(self, world, generator, start, goal, seed, Watch::nobody())
     }
 }
+
+#[cfg(test)]
+#[path = "config_tests.rs"]
+mod tests;

@@ -1,12 +1,13 @@
 //! The search for subgoal images (paper, section 4 and algorithm 2): the cross-entropy method
-//! over `K` latents, where a sample costs what the hardest of its `K + 1` segments costs to plan.
-//! The latents are drawn from their prior at first, or from what the generator proposes.
+//! over `K` latents, where a sample costs what the hardest of its `K + 1` segments costs to plan
+//! (or what another [`Reduction`] makes of them). The latents are drawn from their prior at first,
+//! or from what the generator proposes.
 //!
 //! Savings change nothing but the time:
 //!
 //! 1. All first segments start from `s0`, so their first iteration's rollouts are shared (where the
 //!    world model can score one set of rollouts against many goals).
-//! 2. With the maximum over segments, what cannot change the elites is not planned (`pruning`).
+//! 2. With [`Reduction::Max`], what cannot change the elites is not planned (`pruning`).
 //! 3. Several searches go on side by side ([`search_batch`]), so that a model gets fewer, larger
 //!    calls.
 

@@ -178,7 +178,7 @@ impl<W: WorldModel, G: SubgoalModel<W::Frames>> Objective for Samples<'_, W, G> 
         let cost = |plans: &[Option<Plan>]| {
             let costs: Option<Vec<f32>> =
                 plans.iter().map(|plan| plan.as_ref().map(|plan| plan.cost)).collect();
-            costs.map_or(f32::INFINITY, |costs| reduction.of(costs.into_iter()))
+            costs.map_or(f32::INFINITY, |costs| reduction.of(costs.iter().copied()))
         };
         let costs: Vec<f32> = plans.chunks_exact(width).map(cost).collect();
         for (problem, &episode) in call.problems.iter().enumerate() {

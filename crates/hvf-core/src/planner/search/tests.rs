@@ -110,7 +110,7 @@ fn plain_plans(
 /// Algorithm 2 with loops: every sample planned on its own, over the latents that were drawn.
 #[test]
 fn equals_a_plain_search_over_the_same_latents() {
-    for reduction in [Reduction::Max, Reduction::Mean] {
+    for reduction in [Reduction::Max, Reduction::Mean, Reduction::MaxSum] {
         let config = HvfConfig { reduction, ..small(2) };
         let generator = Positions::new();
         let seed = 9;
@@ -123,9 +123,12 @@ fn equals_a_plain_search_over_the_same_latents() {
                     .iter()
                     .map(|plan| plan.cost)
                     .collect();
+                let hardest = segments.iter().copied().fold(0.0, f32::max);
+                let sum = segments.iter().sum::<f32>();
                 let cost = match reduction {
-                    Reduction::Max => segments.iter().copied().fold(0.0, f32::max),
-                    Reduction::Mean => segments.iter().sum::<f32>() / 3.0,
+                    Reduction::Max => hardest,
+                    Reduction::Mean => sum / 3.0,
+                    Reduction::MaxSum => hardest + 0.1 * sum,
                 };
                 if cost < best.0 {
                     best = (cost, segments);
@@ -357,9 +360,13 @@ fn batches_whose_lengths_disagree_are_refused() {
 }
 
 #[test]
-fn the_mean_is_never_pruned() {
-    let found = run(&HvfConfig { reduction: Reduction::Mean, ..small(2) }, 1);
-    assert!(found.history.iter().all(|stats| stats.skipped == 0));
+fn only_the_maximum_is_pruned() {
+    for (reduction, prunes) in
+        [(Reduction::Max, true), (Reduction::Mean, false), (Reduction::MaxSum, false)]
+    {
+        let found = run(&HvfConfig { reduction, ..small(2) }, 1);
+        assert_eq!(found.history.iter().any(|stats| stats.skipped > 0), prunes, "{reduction:?}");
+    }
 }
 
 #[test]
@@ -401,10 +408,11 @@ proptest! {
         keep_elites in 0usize..5,
         threads in 1usize..5,
         max_candidates in 1usize..3000,
+        reduction in prop::sample::select(&[Reduction::Max, Reduction::Mean, Reduction::MaxSum]),
         prune: bool,
         shares: bool,
     ) {
-        let mut config = small(subgoals);
+        let mut config = HvfConfig { reduction, ..small(subgoals) };
         config.cem.keep_elites = keep_elites;
         let plain = HvfConfig { prune: false, share_rollouts: false, ..config.clone() };
         let expected = run(&plain, seed);
