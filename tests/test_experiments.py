@@ -35,7 +35,7 @@ def settings(evaluation: Evaluation | None) -> dict[str, object]:
     """Of planning, and what draws subgoals."""
     assert evaluation is not None
     world = evaluation.place.resolved(evaluation.world)
-    return {**vars(evaluation.planning), "generator": world.generator}
+    return {**vars(evaluation.planning), "generator": world.generator, "cost": world.cost}
 
 
 def differences(one: Evaluation | None, other: Evaluation) -> dict[str, object]:
@@ -92,11 +92,36 @@ def test_choices_at_the_desk_differ_in_what_counts_only() -> None:
     (table,) = tables(Setup("desk", "default", split="validation"), ["choices"])
     for column, task in enumerate(("two_block", "door_block", "door_two_block")):
         cells = [row[column].evaluation for row in table.rows.values()]
-        assert len(set(cells)) == len(cells) == 9
+        assert len(set(cells)) == len(cells) == 7
         default = Evaluation.of("desk", task=task, subgoals=2 if task == "door_two_block" else 1)
         assert default in cells
         for cell in cells:
             assert differences(cell, default).keys() <= {"scene_weight", "reduction"}
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "differ"),
+    [
+        ("objectives", 6, {"segment_cost", "reduction"}),
+        ("acting", 4, {"cost"}),
+    ],
+)
+def test_what_search_and_acting_go_by_is_all_that_differs(
+    name: str, rows: int, differ: set[str]
+) -> None:
+    (table,) = tables(Setup("desk", "default", split="validation"), [name])
+    for column, (task, count) in enumerate(
+        (("two_block", 1), ("door_block", 1), ("door_two_block", 2))
+    ):
+        cells = [row[column].evaluation for row in table.rows.values()]
+        assert len(set(cells)) == len(cells) == rows
+        default = Evaluation.of("desk", task=task, subgoals=count)
+        found: set[str] = set()
+        for cell in cells:
+            assert cell is not None
+            assert (cell.task, cell.subgoals) == (task, 0 if cell.method == "none" else count)
+            found |= differences(cell, default).keys()
+        assert found == differ
 
 
 def test_rows_of_proposals_differ_in_where_and_how_long_the_search_is() -> None:

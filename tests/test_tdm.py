@@ -26,7 +26,7 @@ from hvf.models.keypoint.dynamics import KeypointDynamics
 from hvf.models.tdm import TDM, TDMConfig
 from hvf.models.vae import VAE
 from hvf.models.vae_config import DESK_VAE
-from hvf.protocols import Remembering
+from hvf.protocols import Judging, Remembering
 from hvf.registry import COSTS, DOMAINS, MODELS
 from hvf.settings import Planning
 from hvf.training.loop import LoopConfig, seeded
@@ -234,6 +234,41 @@ def test_any_world_that_draws_can_be_planned_with(over_horizon: Any) -> None:
     mpc = hvf_core.VisualMPC(horizon=2, samples=8, elites=3, iterations=2)
     plan = mpc.plan(planned, starts.images[0], goals.images[0], seed=1)
     assert plan.actions.shape == (2, 1)
+
+
+@pytest.mark.parametrize("seen", [lambda images: images, Slide.Seen])
+def test_segments_of_any_generator_can_be_judged(seen: Any) -> None:
+    class Shades:
+        """Draws the scene, lighter or darker."""
+
+        latent_dim = 1
+
+        def decode(self, scene: Any, latents: NDArray[np.float32]) -> Any:
+            light = 40 * latents.reshape(-1, 1, 1, 1)
+            shown = np.asarray(getattr(scene, "images", scene)) + light
+            return seen(np.rint(shown).clip(0, 255).astype(np.uint8))
+
+    model = small()
+    subgoals = MODELS["tdm"].resolved("judge")(model, Shades())
+    assert isinstance(subgoals, Judging)
+    start, goal = (frames(1, *SIZE, seed=seed).numpy() for seed in (1, 2))
+    # More samples than are measured at once.
+    latents = np.random.default_rng(0).normal(size=(70, 2, 1)).astype(np.float32)
+    found = subgoals.segment_costs(seen(start), seen(goal), latents)
+    assert found.shape == (70, 3)
+    drawn = Shades().decode(start, latents)
+    drawn = np.asarray(getattr(drawn, "images", drawn)).reshape(70, 2, *start.shape[1:])
+    with torch.no_grad():
+        for sample in range(70):
+            path = [to_unit(torch.from_numpy(x)) for x in (start, *drawn[sample][:, None], goal)]
+            expected = [model(path[k], path[k + 1]).item() for k in range(3)]
+            np.testing.assert_allclose(found[sample], expected, rtol=1e-4)
+    search = hvf_core.HVF(
+        mpc=hvf_core.VisualMPC(horizon=2, samples=8, elites=3, iterations=1), samples=20, elites=4,
+        iterations=2, segment_cost="likelihood",
+    )  # fmt: skip
+    result = search.search(tdm_world(Slide(), model, Planning()), subgoals, start[0], goal[0])
+    assert float(result.cost) <= found.max()
 
 
 def test_noise_and_memory_are_those_of_the_world_inside() -> None:

@@ -19,8 +19,6 @@ _NO_SCENE: Mapping[str, Any] = {"scene_weight": 0.0}
 _CHOICES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "no subgoals": ("none", {}),
     "HVF": ("hvf", {}),
-    "HVF, maximum and sum of segments": ("hvf", {"reduction": "max-sum"}),
-    "HVF, mean of segments": ("hvf", {"reduction": "mean"}),
     "true subgoals": ("ground-truth", {}),
     "no subgoals, whole images alone": ("none", _NO_SCENE),
     "HVF, whole images alone": ("hvf", _NO_SCENE),
@@ -28,6 +26,23 @@ _CHOICES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "HVF, whole images alone, mean of segments": ("hvf", {**_NO_SCENE, "reduction": "mean"}),
 }
 
+_STEPS: Mapping[str, Any] = {"segment_cost": "distance"}
+
+_OBJECTIVES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "likelihood, hardest segment": ("hvf", {}),
+    "likelihood, mean of segments": ("hvf", {"reduction": "mean"}),
+    "likelihood, hardest and sum": ("hvf", {"reduction": "max-sum"}),
+    "steps of play, hardest segment": ("hvf", _STEPS),
+    "steps of play, mean of segments": ("hvf", {**_STEPS, "reduction": "mean"}),
+    "steps of play, hardest and sum": ("hvf", {**_STEPS, "reduction": "max-sum"}),
+}
+
+_ACTING: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "no subgoals, pixels": ("none", {}),
+    "no subgoals, steps of play": ("none", {"cost": "temporal"}),
+    "true subgoals, pixels": ("ground-truth", {}),
+    "true subgoals, steps of play": ("ground-truth", {"cost": "temporal"}),
+}
 
 _SMALL: Mapping[str, Any] = {"subgoal_samples": 128, "subgoal_elites": 12, "subgoal_iterations": 3}
 
@@ -49,6 +64,8 @@ def desk(setup: Setup) -> list[PaperTable]:
     return [
         *_published(setup),
         _choices(setup),
+        _objectives(setup),
+        _acting(setup),
         _proposals(setup),
         _video(setup),
         *judging(setup, _WAYS, _published, _claims()),
@@ -92,6 +109,18 @@ def _choices(setup: Setup) -> PaperTable:
     """What a frame costs in acting, and how segments are reduced in the search."""
     title = "What counts, in acting and in the search for subgoals"
     return _of_tasks(setup, "choices", title, "choice", _CHOSEN, _CHOICES)
+
+
+def _objectives(setup: Setup) -> PaperTable:
+    """What a segment costs in the search, and how the costs of segments are reduced."""
+    title = "What the search for subgoals goes by"
+    return _of_tasks(setup, "objectives", title, "segments cost", _CHOSEN, _OBJECTIVES)
+
+
+def _acting(setup: Setup) -> PaperTable:
+    """What a predicted frame costs in acting."""
+    title = "What acting goes by"
+    return _of_tasks(setup, "acting", title, "frames cost", _CHOSEN, _ACTING)
 
 
 def _proposals(setup: Setup) -> PaperTable:

@@ -153,6 +153,7 @@ TDM = ModelEntry(
     role="distance",
     module="hvf.models.tdm:TDM",
     plannable="hvf.worlds.distances:tdm_of",
+    judge="hvf.worlds.distances:tdm_judged",
     recipe="hvf.training.recipes.tdm:TDMRecipe",
     assumes="nothing of a scene but the size of its images",
 )

@@ -37,7 +37,7 @@ class ImageDistance(Protocol):
         ...
 
     def __call__(self, images: Tensor, goal: Tensor, start: Tensor) -> Tensor:
-        """Distances ``[N]`` of ``images [N, 3, H, W]`` to one ``goal [1, 3, H, W]``.
+        """Distances ``[N]`` of ``images [N, 3, H, W]`` to ``goal``, one or one for each.
 
         ``start [1, 3, H, W]`` is what they were predicted from. All are in [0, 1].
         """
@@ -169,6 +169,67 @@ class RememberingDistanceWorld(ImageDistanceWorld):
     def observe_history(self, images: NDArray[np.uint8], actions: NDArray[np.float32]) -> Any:
         """Frames to start from, `[N]`, as the world inside makes them."""
         return self.world.observe_history(images, actions)
+
+
+class JudgedImages:
+    """Subgoals of any generator, whose segments cost a distance between images.
+
+    A generator that judges (`hvf.protocols.Judging`).
+
+    Args:
+        subgoals: draws images, or frames that have them.
+        distance: from the first image of a segment to its last.
+    """
+
+    def __init__(self, subgoals: Any, distance: ImageDistance) -> None:
+        self.subgoals = subgoals
+        self.distance = distance
+
+    @property
+    def latent_dim(self) -> int:
+        """Latent dimensions of one image."""
+        latent_dim: int = self.subgoals.latent_dim
+        return latent_dim
+
+    def decode(self, scene: Any, latents: NDArray[np.float32]) -> Any:
+        """What the generator draws for `latents [M, K, L]` in the scene of `scene [1]`."""
+        return self.subgoals.decode(scene, latents)
+
+    def segment_costs(
+        self, start: Any, goal: Any, latents: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """What each segment costs, float32 `[M, K + 1]`, for `latents [M, K, L]`.
+
+        `M (K + 1)` pairs of images are measured, so this grows with their size as the model does.
+        """
+        count, subgoals, _ = latents.shape
+        with one_thread():
+            first, last = (self._images(frames) for frames in (start, goal))
+            drawn = self._images(self.decode(start, latents))
+            each = drawn.reshape(count, subgoals, *drawn.shape[1:]).unbind(dim=1)
+            path = [first.expand(count, -1, -1, -1), *each]
+            ends = [*path[1:], last.expand(count, -1, -1, -1)]
+            costs = [self._apart(*pair, first) for pair in zip(path, ends, strict=True)]
+        segments: NDArray[np.float32] = torch.stack(costs, dim=1).cpu().numpy()
+        return segments
+
+    def _apart(self, before: Tensor, after: Tensor, start: Tensor) -> Tensor:
+        """Distances `[M]` between images `[M, 3, H, W]`."""
+        pairs = zip(*(torch.split(each, _AT_ONCE) for each in (before, after)), strict=True)
+        return torch.cat([self.distance(one, other, start) for one, other in pairs])
+
+    def _images(self, frames: Any) -> Tensor:
+        images = np.ascontiguousarray(getattr(frames, "images", frames))
+        return to_unit(torch.from_numpy(images).to(self.distance.device))
+
+
+def tdm_judged(model: TDM, subgoals: Any) -> JudgedImages:
+    """Subgoals whose segments cost the paper's temporal distance.
+
+    It was made to tell images a few steps apart from others, so that of long segments it says of
+    all that they are long.
+    """
+    return JudgedImages(subgoals, FarDistance(model))
 
 
 def latent_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
