@@ -1,5 +1,5 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Literal, SupportsIndex, TypeAlias, final
+from typing import Any, Final, Literal, SupportsIndex, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -644,6 +644,9 @@ class HVF:
         ValueError: An argument is out of range; the message names it.
         TypeError: An argument has the wrong type.
     """
+
+    TIE: Final[float]
+    """Share of the sum of segments in `reduction='max-sum'`."""
 
     def __new__(
         cls,

@@ -147,10 +147,6 @@ class Amortised(Searched):
         return frames
 
 
-_TIE = 0.1
-"""Share of the sum in ``max-sum``, which is that of the search."""
-
-
 def _reduced(
     segments: NDArray[np.floating[Any]], reduction: Literal["max", "mean", "max-sum"]
 ) -> NDArray[np.floating[Any]]:
@@ -161,7 +157,7 @@ def _reduced(
         return costs
     costs = segments.max(axis=1)
     if reduction == "max-sum":
-        costs = costs + _TIE * segments.sum(axis=1)
+        costs = costs + HVF.TIE * segments.sum(axis=1)
     return costs
 
 

@@ -243,6 +243,10 @@ impl PyHvf {
         })
     }
 
+    /// Share of the sum of segments in `reduction='max-sum'`.
+    #[classattr]
+    const TIE: f64 = Reduction::TIE;
+
     /// The argument of this name.
     #[getter]
     fn mpc(&self) -> PyVisualMpc {
