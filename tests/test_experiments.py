@@ -124,6 +124,27 @@ def test_what_search_and_acting_go_by_is_all_that_differs(
         assert found == differ
 
 
+def test_the_maze_is_searched_and_acted_by_steps_of_play_alone_and_together() -> None:
+    (table,) = tables(Setup("maze", "default", split="validation"), ["objectives"])
+    assert table.columns == ("no subgoals", "1 subgoal", "2 subgoals", "3 subgoals")
+    changed = [
+        [
+            None
+            if cell.evaluation is None
+            else differences(cell.evaluation, Evaluation.of("maze", task="hard"))
+            for cell in row
+        ]
+        for row in table.rows.values()
+    ]
+    search, act = {"segment_cost": "distance"}, {"cost": "temporal"}
+    assert changed == [
+        [{}] * 4, [None, *[search] * 3], [act, None, None, None], [None, *[{**search, **act}] * 3],
+    ]  # fmt: skip
+    for row in table.rows.values():
+        for count, cell in enumerate(row):
+            assert cell.evaluation is None or cell.evaluation.subgoals == count
+
+
 def test_rows_of_proposals_differ_in_where_and_how_long_the_search_is() -> None:
     (table,) = tables(Setup("desk", "default", split="validation"), ["proposals"])
     budget = {"subgoal_samples", "subgoal_elites", "subgoal_iterations"}

@@ -40,6 +40,7 @@ def maze(setup: Setup) -> list[PaperTable]:
     return [
         *_published(setup),
         _ablation(setup),
+        _objectives(setup),
         planners(setup, "hard"),
         *judging(setup, _WAYS, _published, _claims()),
     ]
@@ -204,6 +205,39 @@ def _ablation(setup: Setup) -> PaperTable:
         "settings",
         (METHODS["none"].label(0), METHODS["hvf"].label(2)),
         rows,
+        extra=True,
+    )
+
+
+_STEPS: Mapping[str, Mapping[str, Any]] = {
+    "as they are": {},
+    "search by steps of play": {"segment_cost": "distance"},
+    "acting by steps of play": {"cost": "temporal"},
+    "both by steps of play": {"segment_cost": "distance", "cost": "temporal"},
+}
+
+
+def _objectives(setup: Setup) -> PaperTable:
+    """A distance in steps as what segments cost in the search, and frames in acting."""
+
+    def cell(count: int, changed: Mapping[str, Any]) -> Cell:
+        if not count:
+            # There is no segment that could cost anything else.
+            if "segment_cost" in changed:
+                return Cell(None)
+            return Cell(setup.evaluation("none", task="hard", **changed))
+        # Plans by this cost are made in torch: a search of plans takes minutes.
+        if changed.keys() == {"cost"}:
+            return Cell(None)
+        return Cell(setup.evaluation("hvf", count, task="hard", **changed))
+
+    counts = (0, 1, 2, 3)
+    return PaperTable(
+        "objectives",
+        "What search and acting go by, hard",
+        "settings",
+        tuple(map(_counted, counts)),
+        {name: tuple(cell(k, changed) for k in counts) for name, changed in _STEPS.items()},
         extra=True,
     )
 
