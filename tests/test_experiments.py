@@ -83,9 +83,23 @@ def test_methods_become_rows_when_the_models_that_they_ask_are_given() -> None:
             assert cell.evaluation.world.method_model == "runs/tap/model.safetensors"
     assert given.options.endswith("--models tap runs/tap/model.safetensors")
     with pytest.raises(
-        ValueError, match=r"models: methods ask layers-proposals, rig, tap; got 'sv2p'"
+        ValueError,
+        match=r"models: methods and costs ask cvae, layers-proposals, rig, tap, tdm; got 'sv2p'",
     ):
         Setup("maze", models=(("sv2p", "runs/sv2p/model.safetensors"),))
+
+
+def test_costs_become_rows_when_the_models_that_they_ask_are_given() -> None:
+    given = Setup("maze", models=(("tdm", "runs/tdm/model.safetensors"),))
+    (before,), (after,) = (tables(setup, ["cost"]) for setup in (PAPER, given))
+    assert list(after.rows) == [*before.rows, "tdm"]
+    assert {name: after.rows[name] for name in before.rows} == before.rows
+    for task, cell in zip(after.columns, after.rows["tdm"], strict=True):
+        assert cell.evaluation is not None
+        assert (cell.evaluation.method, cell.evaluation.task) == ("none", task)
+        assert cell.evaluation.world.cost == "tdm"
+        assert cell.evaluation.world.cost_model == "runs/tdm/model.safetensors"
+        assert cell.published is None
 
 
 def test_choices_at_the_desk_differ_in_what_counts_only() -> None:

@@ -30,7 +30,8 @@ class Paper:
         only: names of tables; all if none.
         world: dynamics to plan with: a name or a checkpoint; the preset's if none.
         generator: what draws subgoals; the preset's if none.
-        models: name and checkpoint of models that methods ask and that do not ship: "tap", "rig".
+        models: name and checkpoint of models that methods and costs ask and that do not ship:
+            "tap", "rig", "tdm".
         preset: settings to begin with.
         trials: episodes of each evaluation.
         split: which episodes; test is for tables that are published.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 from hvf.evaluation.evaluation import Evaluation
-from hvf.registry import DOMAINS, METHODS
+from hvf.registry import COSTS, DOMAINS, METHODS
 
 Order: TypeAlias = Literal["higher", "lower"]
 """Whether the paper has one rate above another, or below it."""
@@ -24,10 +24,11 @@ class Setup:
         dynamics: what they plan with; None for the preset's.
         generator: what draws subgoals; None for the preset's.
         split: which episodes.
-        models: name and checkpoint of models that methods ask and that do not ship, such as "tap".
+        models: name and checkpoint of models that methods or costs ask and that do not ship, such
+            as "tap".
 
     Raises:
-        ValueError: the name of a model that no method asks.
+        ValueError: the name of a model that none asks.
     """
 
     domain: str
@@ -38,15 +39,14 @@ class Setup:
     models: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
-        methods = (METHODS[name] for name in METHODS)
-        asked = sorted({method.asks for method in methods if method.asks is not None})
+        each = [*(METHODS[name].asks for name in METHODS), *(COSTS[name].model for name in COSTS)]
+        asked = sorted({name for name in each if name is not None})
         for name, _ in self.models:
             if name not in asked:
-                raise ValueError(f"models: methods ask {', '.join(asked)}; got {name!r}")
+                raise ValueError(f"models: methods and costs ask {', '.join(asked)}; got {name!r}")
 
-    def has(self, method: str) -> bool:
-        """Whether all is there that a method asks."""
-        asked = METHODS[method].asks
+    def has(self, asked: str | None) -> bool:
+        """Whether a model is there that a method or a cost asks; one that asks none has it."""
         return asked in (None, *DOMAINS[self.domain].weights, *dict(self.models))
 
     def evaluation(self, method: str, subgoals: int = 0, **settings: Any) -> Evaluation:
@@ -61,6 +61,9 @@ class Setup:
             "method_model": dict(self.models).get(METHODS[method].asks or ""),
         }
         named = {name: value for name, value in world.items() if value is not None}
+        cost = settings.get("cost")
+        if cost is not None and COSTS[cost].model in dict(self.models):
+            named["cost_model"] = dict(self.models)[str(COSTS[cost].model)]
         own: dict[str, Any] = {
             "preset": self.preset,
             "method": method,

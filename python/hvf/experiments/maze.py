@@ -10,7 +10,7 @@ from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.experiments.judging import Claim, Way, judging
 from hvf.experiments.methods import methods
 from hvf.experiments.planners import planners
-from hvf.registry import METHODS
+from hvf.registry import COSTS, METHODS
 
 Published = Mapping[str, Mapping[int, float]]
 
@@ -70,12 +70,18 @@ def _published(setup: Setup) -> list[PaperTable]:
         return PaperTable(name, title, corner, tuple(map(_counted, counts)), rows)
 
     def cost(name: str) -> tuple[Cell, ...]:
-        # A simulator has states, no latents.
+        # A simulator has states, no images to be measured.
         possible = name == "pixel" or setup.dynamics != "simulator"
         return tuple(
-            Cell(setup.evaluation("none", task=task, cost=name) if possible else None, number)
-            for task, number in _BY_COST[name].items()
+            Cell(
+                setup.evaluation("none", task=task, cost=name) if possible else None,
+                _BY_COST.get(name, {}).get(task),
+            )
+            for task in difficulties
         )
+
+    # The paper's own temporal distance is in none of its tables, and does not ship.
+    costs = [*_BY_COST, *(["tdm"] if setup.has(COSTS["tdm"].model) else [])]
 
     return [
         methods(setup, "Methods by difficulty"),
@@ -100,7 +106,7 @@ def _published(setup: Setup) -> list[PaperTable]:
             "Cost without subgoals: pixels, or the latent of the VAE",
             "cost",
             difficulties,
-            {name: cost(name) for name in _BY_COST},
+            {name: cost(name) for name in costs},
         ),
     ]
 

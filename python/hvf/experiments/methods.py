@@ -39,6 +39,6 @@ def methods(setup: Setup, title: str) -> PaperTable:
             for task in domain.tasks
         )
         for method, count in _METHODS
-        if setup.has(method)
+        if setup.has(METHODS[method].asks)
     }
     return PaperTable("methods", title, "method", tuple(domain.tasks), rows)
