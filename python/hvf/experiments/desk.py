@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+from hvf.evaluation.evaluation import Evaluation
 from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.experiments.judging import Claim, Way, judging
 from hvf.experiments.methods import methods
@@ -114,13 +115,19 @@ def _choices(setup: Setup) -> PaperTable:
 def _objectives(setup: Setup) -> PaperTable:
     """What a segment costs in the search, and how the costs of segments are reduced."""
     title = "What the search for subgoals goes by"
-    return _of_tasks(setup, "objectives", title, "segments cost", _CHOSEN, _OBJECTIVES)
+    first = next(iter(_OBJECTIVES))
+    with_first = dict.fromkeys([name for name in _OBJECTIVES if name != first], first)
+    return _of_tasks(setup, "objectives", title, "segments cost", _CHOSEN, _OBJECTIVES, with_first)
 
 
 def _acting(setup: Setup) -> PaperTable:
     """What a predicted frame costs in acting."""
     title = "What acting goes by"
-    return _of_tasks(setup, "acting", title, "frames cost", _CHOSEN, _ACTING)
+    with_pixels = {
+        f"{method}, steps of play": f"{method}, pixels"
+        for method in ("no subgoals", "true subgoals")
+    }
+    return _of_tasks(setup, "acting", title, "frames cost", _CHOSEN, _ACTING, with_pixels)
 
 
 def _proposals(setup: Setup) -> PaperTable:
@@ -136,14 +143,28 @@ def _of_tasks(
     heading: str,
     tasks: Mapping[str, int],
     choices: Mapping[str, tuple[str, Mapping[str, Any]]],
+    compared: Mapping[str, str] | None = None,
 ) -> PaperTable:
-    """A table of our own: methods and their settings by task, with its number of subgoals."""
+    """A table of our own: methods and their settings by task, with its number of subgoals.
+
+    Rows of ``compared`` stand beside others, in pairs.
+    """
+
+    def evaluation(choice: str, task: str) -> Evaluation:
+        method, settings = choices[choice]
+        count = 0 if method == "none" else tasks[task]
+        return setup.evaluation(method, count, task=task, **settings)
+
+    beside = compared or {}
     rows = {
         choice: tuple(
-            Cell(setup.evaluation(method, 0 if method == "none" else count, task=task, **settings))
-            for task, count in tasks.items()
+            Cell(
+                evaluation(choice, task),
+                baseline=evaluation(beside[choice], task) if choice in beside else None,
+            )
+            for task in tasks
         )
-        for choice, (method, settings) in choices.items()
+        for choice in choices
     }
     columns = tuple(f"{task}, K = {count}" for task, count in tasks.items())
     return PaperTable(name, title, heading, columns, rows, extra=True)

@@ -227,15 +227,15 @@ def _objectives(setup: Setup) -> PaperTable:
     """A distance in steps as what segments cost in the search, and frames in acting."""
 
     def cell(count: int, changed: Mapping[str, Any]) -> Cell:
-        if not count:
-            # There is no segment that could cost anything else.
-            if "segment_cost" in changed:
-                return Cell(None)
-            return Cell(setup.evaluation("none", task="hard", **changed))
-        # Plans by this cost are made in torch: a search of plans takes minutes.
-        if changed.keys() == {"cost"}:
+        # Without subgoals no segment can cost anything else. And plans by this cost are made in
+        # torch: a search of plans takes minutes.
+        if "segment_cost" in changed if not count else changed.keys() == {"cost"}:
             return Cell(None)
-        return Cell(setup.evaluation("hvf", count, task="hard", **changed))
+        ours, other = (
+            setup.evaluation("hvf" if count else "none", count, task="hard", **settings)
+            for settings in (changed, {})
+        )
+        return Cell(ours, baseline=other if changed else None)
 
     counts = (0, 1, 2, 3)
     return PaperTable(
