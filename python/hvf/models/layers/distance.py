@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
 from hvf.models.doublings import class_of, expected_class
-from hvf.models.layers.states import StateNetwork, StateSizes
+from hvf.models.layers.states import StateNetwork, StateSizes, perceptron
 
 # Changes of scaled states are shown times so much, too, up to 1: a pixel of a part's way counts.
 _CLOSE_UP = 8.0
@@ -61,9 +61,9 @@ class LayerDistance(StateNetwork):
         self.config = config
         fixed = 3 * (config.action_dim + config.sliders)
         part, hidden = config.part_hidden, config.hidden
-        self.part = _network(2 * config.action_dim + 8, part, part + 1)
-        self.fixed = _network(fixed, hidden, config.sliders)
-        self.steps = _network(part + fixed, hidden, config.classes)
+        self.part = perceptron(2 * config.action_dim + 8, part, part + 1, 2)
+        self.fixed = perceptron(fixed, hidden, config.sliders, 2)
+        self.steps = perceptron(part + fixed, hidden, config.classes, 2)
 
     def logits(self, before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
         """What is said of `before` and `after [N, X]`.
@@ -121,13 +121,3 @@ class LayerDistance(StateNetwork):
         }
         loss = pieces["transplants"] + pieces["steps"]
         return loss, {name: value.detach() for name, value in pieces.items()}
-
-
-def _network(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Linear(inputs, hidden),
-        nn.SiLU(),
-        nn.Linear(hidden, hidden),
-        nn.SiLU(),
-        nn.Linear(hidden, outputs),
-    )

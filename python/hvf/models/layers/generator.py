@@ -19,7 +19,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor, nn
 
-from hvf.models.layers.states import StateNetwork, StateSizes
+from hvf.models.layers.states import StateNetwork, StateSizes, perceptron
 from hvf.models.vae import gaussian_kl
 
 # Of the draws of a likelihood: always the same ones, so that costs of one search compare.
@@ -158,8 +158,4 @@ class LayerGenerator(StateNetwork):
 
 def _network(config: LayerGeneratorConfig, inputs: int, outputs: int) -> nn.Sequential:
     between = {"relu": nn.ReLU, "silu": nn.SiLU}[config.activation]
-    layers: list[nn.Module] = []
-    for _ in range(config.depth):
-        layers += [nn.Linear(inputs, config.hidden), between()]
-        inputs = config.hidden
-    return nn.Sequential(*layers, nn.Linear(inputs, outputs))
+    return perceptron(inputs, config.hidden, outputs, config.depth, between)

@@ -23,10 +23,10 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from hvf.models.layers.generator import LayerGenerator, LayerGeneratorConfig
-from hvf.models.layers.states import StateNetwork
+from hvf.models.layers.states import StateNetwork, perceptron
 
 # Logarithms of the least and largest standard deviation; 1 is that of the prior.
 _LOG_STD = (-2.0, 0.5)
@@ -69,12 +69,8 @@ class LayerProposals(StateNetwork):
         sizes = config.generator
         super().__init__(sizes)
         self.config = config
-        layers: list[nn.Module] = []
-        width = 2 * sizes.state_size + config.most
-        for _ in range(config.depth):
-            layers += [nn.Linear(width, config.hidden), nn.SiLU()]
-            width = config.hidden
-        self.network = nn.Sequential(*layers, nn.Linear(width, 2 * sizes.latent_dim))
+        inputs = 2 * sizes.state_size + config.most
+        self.network = perceptron(inputs, config.hidden, 2 * sizes.latent_dim, config.depth)
         # In a tuple, since it is no part of the network and not saved with it.
         self._generator: tuple[LayerGenerator, ...] = ()
 

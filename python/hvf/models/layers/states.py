@@ -89,3 +89,14 @@ class StateNetwork(nn.Module):
         places = torch.where(there, parts[..., :2], was[..., :2])
         parts = torch.cat([places, parts[..., 2:]], dim=2).flatten(1)
         return torch.cat([states[:, : -3 * self._roaming], parts], dim=1)
+
+
+def perceptron(
+    inputs: int, hidden: int, outputs: int, depth: int, activation: type[nn.Module] = nn.SiLU
+) -> nn.Sequential:
+    """A network of ``depth`` hidden layers of one width."""
+    layers: list[nn.Module] = []
+    for _ in range(depth):
+        layers += [nn.Linear(inputs, hidden), activation()]
+        inputs = hidden
+    return nn.Sequential(*layers, nn.Linear(inputs, outputs))
