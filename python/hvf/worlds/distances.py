@@ -22,7 +22,7 @@ from hvf.models.vae import CVAE
 from hvf.protocols import Remembering, WorldModel
 from hvf.settings import OverHorizon, Planning
 from hvf.threads import one_thread
-from hvf.worlds.world import Around
+from hvf.worlds.world import Measured
 
 # Images that are drawn and measured together: what the networks make of them stays in the caches.
 _AT_ONCE = 64
@@ -76,7 +76,7 @@ class FarDistance:
         return far
 
 
-class ImageDistanceWorld(Around):
+class ImageDistanceWorld(Measured):
     """Any world that draws what it predicts, with a distance between images as its cost.
 
     Args:
@@ -90,18 +90,8 @@ class ImageDistanceWorld(Around):
     """
 
     def __init__(self, world: Any, distance: ImageDistance, over_horizon: OverHorizon) -> None:
-        self.world = world
+        super().__init__(world, over_horizon)
         self.distance = distance
-        self.over_horizon = over_horizon
-
-    @property
-    def inner(self) -> Any:
-        """The world that predicts."""
-        return self.world
-
-    def observe(self, images: NDArray[np.uint8]) -> Any:
-        """Frames of uint8 `images [N, S, S, 3]`."""
-        return self.world.observe(images)
 
     @property
     def uses_seeds(self) -> bool:

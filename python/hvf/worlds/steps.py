@@ -24,13 +24,13 @@ from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld
 from hvf.worlds.layers import LayerWorld
 from hvf.worlds.layers_meanings import meanings
 from hvf.worlds.layers_subgoals import StateSubgoals
-from hvf.worlds.world import Around
+from hvf.worlds.world import Measured
 
 WorldT = TypeVar("WorldT", KeypointWorld, LayerWorld)
 ModelT = TypeVar("ModelT", TemporalDistance, LayerDistance)
 
 
-class StepsWorld(Around, Generic[WorldT, ModelT]):
+class StepsWorld(Measured, Generic[WorldT, ModelT]):
     """An object model with a distance in steps as its cost.
 
     Args:
@@ -40,18 +40,8 @@ class StepsWorld(Around, Generic[WorldT, ModelT]):
     """
 
     def __init__(self, world: WorldT, model: ModelT, over_horizon: OverHorizon) -> None:
-        self.world: WorldT = world
+        super().__init__(world, over_horizon)
         self.model: ModelT = model.eval()
-        self.over_horizon = over_horizon
-
-    @property
-    def inner(self) -> Any:
-        """The world that predicts."""
-        return self.world
-
-    def observe(self, images: NDArray[np.uint8]) -> Any:
-        """Frames of uint8 `images [N, S, S, 3]`."""
-        return self.world.observe(images)
 
     def rollout_costs(
         self, starts: Any, goals: Any, actions: NDArray[np.float32]

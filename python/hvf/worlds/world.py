@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hvf.settings import OverHorizon
+
 
 def checked_images(images: NDArray[np.uint8], height: int, width: int) -> NDArray[np.uint8]:
     """Images ``[N, height, width, 3]`` in C order.
@@ -43,3 +45,25 @@ class Around:
         """Highest action, float32 `[A]`."""
         high: NDArray[np.float32] = self.inner.action_high
         return high
+
+
+class Measured(Around):
+    """A world around another one that predicts for it, with a cost of its own.
+
+    Args:
+        world: predicts; has ``observe(images)``.
+        over_horizon: whether the last predicted frame counts, their sum, or their minimum.
+    """
+
+    def __init__(self, world: Any, over_horizon: OverHorizon) -> None:
+        self.world = world
+        self.over_horizon = over_horizon
+
+    @property
+    def inner(self) -> Any:
+        """The world that predicts."""
+        return self.world
+
+    def observe(self, images: NDArray[np.uint8]) -> Any:
+        """Frames of uint8 `images [N, S, S, 3]`."""
+        return self.world.observe(images)
