@@ -317,6 +317,7 @@ def test_models_are_listed_without_torch() -> None:
         "layers": "object",
         "layers-generator": "object",
         "layers-proposals": "object",
+        "layers-distance": "object",
         "cvae": "video",
         "vae": "video",
         "sv2p": "video",
@@ -400,6 +401,11 @@ def test_hvf_train_trains_the_models_of_the_desk(
     again = ("--dynamics", dynamics, "--generator", out / "model.safetensors", "--batch-size", 16)
     out = tmp_path / "layers-proposals"
     command("train", "layers-proposals", "--data", desk, "--out", out, *again, *LOOP)
+    out = tmp_path / "layers-distance"
+    command(
+        "train", "layers-distance", "--data", desk, "--dynamics", dynamics, "--out", out,
+        "--batch-size", 16, *LOOP,
+    )  # fmt: skip
     cell = ("--perception", dynamics, "--windows", 4, "--length", 3, "--pushed", 0.5)
     command("train", "layers", "--data", desk, "--out", tmp_path / "cell", *cell, *LOOP)
     kept, found = (
@@ -409,7 +415,7 @@ def test_hvf_train_trains_the_models_of_the_desk(
     for name, value in kept.state_dict().items():
         assert found.state_dict()[name].equal(value), name
     command("train", "vae", "--data", desk, "--out", tmp_path / "vae", "--batch-size", 2, *LOOP)
-    for name in ("layers", "layers-generator", "layers-proposals", "vae"):
+    for name in ("layers", "layers-generator", "layers-proposals", "layers-distance", "vae"):
         found = load_any(tmp_path / name / "model.safetensors", environment="desk")
         assert found.name == name
     half = tmp_path / "half.safetensors"
