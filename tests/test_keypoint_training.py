@@ -17,7 +17,8 @@ from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
 from hvf.domains.maze_collection import MazeCollection
 from hvf.protocols import Judging
-from hvf.settings import Planning
+from hvf.registry import DOMAINS
+from hvf.settings import Planning, World
 
 torch = pytest.importorskip("torch")
 
@@ -35,6 +36,7 @@ from hvf.training.recipes.temporal_distance import KeypointPairs  # noqa: E402
 from hvf.training.tracks.keypoints import Transitions, TransitionSampler  # noqa: E402
 from hvf.worlds.distances import ImageDistanceWorld, LatentDistance  # noqa: E402
 from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld  # noqa: E402
+from hvf.worlds.load import load  # noqa: E402
 from hvf.worlds.steps import KeypointStepsWorld, judged, steps_world  # noqa: E402
 
 QUIET = Console(quiet=True)
@@ -319,6 +321,17 @@ def test_segments_judged_by_keypoints_cost_what_the_model_says_of_their_ends() -
                 before, after = (torch.from_numpy(path[[segment + k]]) for k in range(2))
                 expected = float(model(before, after, code)[0])
                 assert found[sample, segment] == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_checkpoint_of_ones_own_is_measured_by_the_distance_of_its_kind() -> None:
+    domain = DOMAINS["maze"]
+    own = World(str(domain.weights["keypoint"]), "keypoint-generator", cost="temporal")
+    with domain.open(1) as place:
+        loaded = load(domain, own, Planning(), place, generator=False)
+        assert isinstance(loaded.world, KeypointStepsWorld)
+        assert loaded.weights["cost"].model == "temporal-distance"
+        with pytest.raises(ValueError, match="'temporal' needs keypoint or layers dynamics, or"):
+            load(domain, World("latent", cost="temporal"), Planning(), place, generator=False)
 
 
 def test_distances_in_steps_refuse_what_they_are_not_for() -> None:

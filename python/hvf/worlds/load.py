@@ -117,7 +117,9 @@ def load(
     cost = COSTS[world.cost]
     planned: WorldModel[Any] = dynamics
     if cost.world is not None:
-        natural = domain.distances.get(world.dynamics) if cost.in_steps else cost.model
+        # Of the model and not of its name, which may be a file.
+        learned = weights["dynamics"].model if "dynamics" in weights else ""
+        natural = domain.distances.get(learned) if cost.in_steps else cost.model
         asked = world.cost_model or natural
         model = module("cost", asked) if asked else None
         planned = cost.world(dynamics, model, planning)

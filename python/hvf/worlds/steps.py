@@ -156,6 +156,11 @@ def steps_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
             _check(model, world)
             return LayerStepsWorld(world, model, over)
         raise ValueError(f"cost: 'temporal' needs layers dynamics, got {type(world).__name__}")
+    if model is None:
+        kind = type(world).__name__
+        raise ValueError(
+            f"cost: 'temporal' needs keypoint or layers dynamics, or a cost_model; got {kind}"
+        )
     raise ValueError(
         "cost: 'temporal' needs a temporal-distance or layers-distance model, got "
         f"{type(model).__name__}"
