@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from hvf.models.layers.perception import LayerPerception
+from hvf.models.layers.states import THERE
 
-# Presence from which on a part is there.
-_THERE = 0.5
 # Opacity of the arm, over the place of a part, from which on it may hide it.
 _COVERED = 0.6
 
@@ -27,9 +26,9 @@ def meanings(perception: LayerPerception, start: Tensor, goal: Tensor) -> Tensor
     gone = was * was.new_tensor([1.0, 1.0, 0.0])
     choices = []
     for part in range(count):
-        if seen[part, 2] > _THERE:
+        if seen[part, 2] > THERE:
             choices.append([seen[part]])
-        elif was[part, 2] <= _THERE or covered[part] <= _COVERED:
+        elif was[part, 2] <= THERE or covered[part] <= _COVERED:
             choices.append([gone[part]])
         else:
             choices.append([gone[part], was[part]])

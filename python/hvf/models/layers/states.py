@@ -47,8 +47,8 @@ class StateSizes:
         return self.action_dim + self.sliders + 3 * self.roaming
 
 
-# Presence from which on a part is there.
-_THERE = 0.5
+THERE = 0.5
+"""Presence from which on a part is there."""
 
 
 class StateNetwork(nn.Module):
@@ -85,7 +85,7 @@ class StateNetwork(nn.Module):
         Where something was last seen that is not there any more says nothing.
         """
         was, parts = self.parts(scenes), self.parts(states)
-        there = parts[..., 2:] > _THERE
+        there = parts[..., 2:] > THERE
         places = torch.where(there, parts[..., :2], was[..., :2])
         parts = torch.cat([places, parts[..., 2:]], dim=2).flatten(1)
         return torch.cat([states[:, : -3 * self._roaming], parts], dim=1)

@@ -21,7 +21,7 @@ _SHARES = (0.2, 0.25, 0.35, 0.2)
 # A slider that moved by more of its way slid; a part that moved by more pixels moved.
 SLID, MOVED = 0.05, 1.5
 # What is known of a part (:class:`~hvf.training.tracks.layers.LayerTracks`).
-_GONE, _PLACED = 1, 2
+GONE, PLACED = 1, 2
 
 
 def within_reach(rng: np.random.Generator, count: int) -> NDArray[np.int64]:
@@ -117,7 +117,7 @@ def changes(tracks: LayerTracks, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
     sliders = slice(tracks.hand.stop, tracks.parts.start)
     kinds[(np.abs(after - before)[:, sliders] > SLID).any(axis=1)] = 1
     apart = (after - before)[:, tracks.parts].reshape(*known.shape, 3)[..., :2]
-    both = (known == _PLACED) & (then == _PLACED)
+    both = (known == PLACED) & (then == PLACED)
     kinds[(both & (np.linalg.norm(apart, axis=2) > MOVED)).any(axis=1)] = 2
-    kinds[((known == _PLACED) & (then == _GONE)).any(axis=1)] = 3
+    kinds[((known == PLACED) & (then == GONE)).any(axis=1)] = 3
     return kinds

@@ -8,16 +8,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from hvf.models.layers.states import THERE
 from hvf.training.tracks.layers import LayerTracks
-from hvf.training.tracks.pairs import MOVED, SLID, StatePairs
+from hvf.training.tracks.pairs import MOVED, PLACED, SLID, StatePairs
 
 # Chance that a thing is transplanted, and that a part is gone then.
 _EACH, _GONE = 0.5, 0.25
 # Places of parts that count as one, pixels, and of sliders, parts of their way.
 _PIXELS, _WAY = 4.0, 0.1
-# What is known of a part (:class:`~hvf.training.tracks.layers.LayerTracks`).
-_PLACED = 2
-_THERE = 0.5
 
 Floats = NDArray[np.float32]
 
@@ -47,7 +45,7 @@ class Transplants:
         self._roaming = tracks.known.shape[2]
         self._hand, self._fixed = tracks.hand.stop, states.shape[1] - 3 * self._roaming
         parts = states[:, self._fixed :].reshape(-1, self._roaming, 3)
-        placed = tracks.known.reshape(-1, self._roaming) == _PLACED
+        placed = tracks.known.reshape(-1, self._roaming) == PLACED
         self._places = _Evenly(parts[placed][:, :2], _PIXELS)
         self._slides = [
             _Evenly(states[:, [slider]], _WAY) for slider in range(self._hand, self._fixed)
@@ -84,7 +82,7 @@ class Transplants:
         """Which things can be seen to be elsewhere in states ``[N, X]``: ``[N, G + R]``."""
         slid = np.abs(a - b)[:, self._hand : self._fixed] > SLID
         first, second = (x[:, self._fixed :].reshape(len(x), self._roaming, 3) for x in (a, b))
-        there = [x[..., 2] > _THERE for x in (first, second)]
+        there = [x[..., 2] > THERE for x in (first, second)]
         moved = np.linalg.norm((first - second)[..., :2], axis=2) > MOVED
         differs = (there[0] != there[1]) | (there[0] & there[1] & moved)
         return np.concatenate([slid, differs], axis=1)
