@@ -24,6 +24,7 @@ from hvf.models.vae import (
     BAIR_CVAE,
     CVAE,
     DESK_VAE,
+    PAPER_BAIR,
     PAPER_CVAE,
     PAPER_VAE,
     VAE,
@@ -398,12 +399,13 @@ def test_one_scene_for_all_images_is_encoded_as_copies_of_it_are(config: CVAECon
     torch.testing.assert_close(shared[0], expected.float())
 
 
-@pytest.mark.parametrize("config", [PAPER_CVAE, PAPER_VAE], ids=["cvae", "vae"])
+@pytest.mark.parametrize("config", [PAPER_CVAE, PAPER_VAE, PAPER_BAIR], ids=["cvae", "vae", "bair"])
 def test_the_papers_loss_is_the_evidence_bound_of_the_second_given_the_first(
     config: CVAEConfig,
 ) -> None:
     model = seeded(0, lambda: (CVAE if config.conditional else VAE)(config))
-    batch = {"image": frames(3, (64, 64), 1), "scene": frames(3, (64, 64), 2)}
+    size = config.image_size
+    batch = {"image": frames(3, size, 1), "scene": frames(3, size, 2)}
     loss, parts = model.loss(batch, torch.Generator().manual_seed(7), 0)
     image, scene = to_unit(batch["image"]).double(), to_unit(batch["scene"]).double()
     model = model.double()

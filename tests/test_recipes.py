@@ -89,7 +89,10 @@ def test_fields_that_fit_only_together_are_set_together() -> None:
         ({"loop.stps": 3}, "LoopConfig has no setting 'stps'"),
         ({"batch_size.x": 3}, "CVAERecipe.batch_size has no setting 'x'"),
         ({"batch_size": 0}, "batch_size must be at least 1"),
-        ({"preset": "papr"}, "preset: must be one of default, paper, bair, desk; got 'papr'"),
+        (
+            {"preset": "papr"},
+            "preset: must be one of default, paper, bair, paper-bair, desk; got 'papr'",
+        ),
     ],
 )
 def test_settings_that_there_are_not_are_named(settings: dict[str, Any], message: str) -> None:

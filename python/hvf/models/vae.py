@@ -29,6 +29,7 @@ from hvf.models.frames import to_unit
 from hvf.models.vae_config import (
     BAIR_CVAE,
     DESK_VAE,
+    PAPER_BAIR,
     PAPER_CVAE,
     PAPER_VAE,
     CVAEConfig,
@@ -38,6 +39,7 @@ __all__ = [
     "BAIR_CVAE",
     "CVAE",
     "DESK_VAE",
+    "PAPER_BAIR",
     "PAPER_CVAE",
     "PAPER_VAE",
     "VAE",

@@ -27,7 +27,8 @@ training                Adam, 1e-4, constant; batches of 256    Adam, 1e-3, warm
 In both, pairs are two frames of one episode at random times and features of the scene are added
 to the decoder's, as in the released code; the paper's text has the scene's first frame in the
 pairs, and concatenates the features. The code of the desk's VAE and of BAIR's CVAE was not
-released: ``PAPER_VAE`` takes over what is above. ``RIG_VAE`` is that of another paper, whose policy
+released: ``PAPER_VAE`` and ``PAPER_BAIR`` take over what is above; ``DESK_VAE`` and ``BAIR_CVAE``
+have the same layers and our loss. ``RIG_VAE`` is that of another paper, whose policy
 is a baseline (:mod:`hvf.models.rig`).
 """
 
@@ -195,6 +196,12 @@ PAPER_VAE = dataclasses.replace(
     strides=DESK_VAE.strides,
     scene_layers=(),
     image_layers=DESK_VAE.image_layers,
+)
+PAPER_BAIR = dataclasses.replace(
+    PAPER_CVAE,
+    image_size=BAIR_CVAE.image_size,
+    channels=BAIR_CVAE.channels,
+    strides=BAIR_CVAE.strides,
 )
 RIG_VAE = CVAEConfig(
     conditional=False,

@@ -19,6 +19,7 @@ from hvf.models.vae import (
     BAIR_CVAE,
     CVAE,
     DESK_VAE,
+    PAPER_BAIR,
     PAPER_CVAE,
     PAPER_VAE,
     VAE,
@@ -46,11 +47,11 @@ _PAPER_LOOP = LoopConfig(steps=100_000, learning_rate=1e-4, precision="float32")
 class CVAERecipe(Recipe):
     """Training of the paper's CVAE: images that are possible in a scene.
 
-    Preset ``paper`` is as the authors' released code does it, ``bair`` has the paper's layers for
-    BAIR's images; the table in :mod:`hvf.models.vae_config` has the differences. Preset ``desk``
-    is the generator that ships for the desk: finer features of the scene, 8x8, since cubes are
-    smaller than the maze's agent, and fewer numbers in all. Its memory holds all of the 2,500
-    episodes that it was trained on.
+    Preset ``paper`` is as the authors' released code does it. ``bair`` has the paper's layers for
+    BAIR's images and our loss, ``paper-bair`` the loss and training of ``paper``; the table in
+    :mod:`hvf.models.vae_config` has the differences. Preset ``desk`` is the generator that ships
+    for the desk: finer features of the scene, 8x8, since cubes are smaller than the maze's agent,
+    and fewer numbers in all. Its memory holds all of the 2,500 episodes that it was trained on.
 
     Attributes:
         batch_size: pairs of images per step; without a scene the first of each pair is learned.
@@ -64,6 +65,7 @@ class CVAERecipe(Recipe):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"model": PAPER_CVAE, "batch_size": 256, "loop": _PAPER_LOOP},
         "bair": {"model": BAIR_CVAE},
+        "paper-bair": {"model": PAPER_BAIR, "batch_size": 256, "loop": _PAPER_LOOP},
         "desk": {
             "model": DESK_CVAE,
             "memory_gb": 3.2,
