@@ -113,6 +113,32 @@ def test_choices_at_the_desk_differ_in_what_counts_only() -> None:
             assert differences(cell, default).keys() <= {"scene_weight", "reduction"}
 
 
+def test_the_sweep_at_the_desk_changes_one_setting_of_acting_at_a_time() -> None:
+    (table,) = tables(Setup("desk", "default", split="validation"), ["sweep"])
+    without = Evaluation.of("desk", task="two_block", method="none", subgoals=0)
+    defaults = table.rows["default"]
+    assert defaults[0].evaluation == without
+    seen = set()
+    for name, row in table.rows.items():
+        if name == "default":
+            continue
+        for cell, default in zip(row, defaults, strict=True):
+            if cell.evaluation is None:
+                continue
+            assert cell.baseline == default.evaluation
+            changed = differences(cell.evaluation, default.evaluation)
+            # An aim that is chosen anew is, at another time.
+            assert len(changed.keys() - {"choose_anew"}) == 1 or changed.keys() == {
+                "samples",
+                "elites",
+            }
+            seen.add((cell.evaluation.method, *changed.items()))
+    assert len(seen) == sum(
+        cell.evaluation is not None for name, row in table.rows.items() if name != "default"
+        for cell in row
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("name", "rows", "differ"),
     [

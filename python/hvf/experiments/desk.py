@@ -10,7 +10,7 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.experiments.judging import Claim, Way, judging
 from hvf.experiments.methods import methods
-from hvf.registry import DOMAINS
+from hvf.registry import DOMAINS, METHODS
 
 _CHOSEN = {"two_block": 1, "door_block": 1, "door_two_block": 2}
 """Subgoals of each task with more than the door to it, chosen on validation."""
@@ -45,6 +45,23 @@ _ACTING: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     "true subgoals, steps of play": ("ground-truth", {"cost": "temporal"}),
 }
 
+_ONE_AT_A_TIME: Mapping[str, Mapping[str, Any]] = {
+    "default": {},
+    "T* = 10": {"steps_per_subgoal": 10},
+    "T* = 10, chosen anew": {"steps_per_subgoal": 10, "choose_anew": True},
+    "reached below 0.002": {"threshold": 2e-3},
+    "scene counts 0 times": _NO_SCENE,
+    "scene counts 10 times": {"scene_weight": 10.0},
+    "scene counts 30 times": {"scene_weight": 30.0},
+    "last frame": {"over_horizon": "last"},
+    "H = 24": {"horizon": 24},
+    "D = 200, D* = 10": {"samples": 200, "elites": 10},
+    "a plan at every step": {"replan_every": 1},
+    "no warm start": {"warm_start": False},
+}
+_OF_SUBGOALS = ("steps_per_subgoal", "threshold")
+"""Settings that make no difference without subgoals."""
+
 _SMALL: Mapping[str, Any] = {"subgoal_samples": 128, "subgoal_elites": 12, "subgoal_iterations": 3}
 
 _PROPOSALS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
@@ -67,6 +84,7 @@ def desk(setup: Setup) -> list[PaperTable]:
         _choices(setup),
         _objectives(setup),
         _acting(setup),
+        _sweep(setup),
         _proposals(setup),
         _video(setup),
         *judging(setup, _WAYS, _published, _claims()),
@@ -128,6 +146,34 @@ def _acting(setup: Setup) -> PaperTable:
         for method in ("no subgoals", "true subgoals")
     }
     return _of_tasks(setup, "acting", title, "frames cost", _CHOSEN, _ACTING, with_pixels)
+
+
+def _sweep(setup: Setup) -> PaperTable:
+    """Settings of acting, one at a time, on the task that subgoals help least."""
+    task = "two_block"
+
+    def cell(method: str, changed: Mapping[str, Any]) -> Cell:
+        count = 0 if method == "none" else _CHOSEN[task]
+        anew = "choose_anew" in changed
+        if (anew and method == "ground-truth") or (not count and changed.keys() & {*_OF_SUBGOALS}):
+            return Cell(None)
+        ours, other = (
+            setup.evaluation(method, count, task=task, **settings) for settings in (changed, {})
+        )
+        return Cell(ours, baseline=other if changed else None)
+
+    chosen = ("none", "hvf", "ground-truth")
+    return PaperTable(
+        "sweep",
+        "Settings of acting, one at a time, 2 Block",
+        "settings",
+        tuple(METHODS[each].label(0 if each == "none" else _CHOSEN[task]) for each in chosen),
+        {
+            name: tuple(cell(method, changed) for method in chosen)
+            for name, changed in _ONE_AT_A_TIME.items()
+        },
+        extra=True,
+    )
 
 
 def _proposals(setup: Setup) -> PaperTable:
