@@ -567,6 +567,17 @@ def test_the_commit_of_an_unrelated_repository_is_not_the_codes(tmp_path: Path) 
 
 
 @needs_git
+def test_another_build_of_the_extension_is_other_code(tmp_path: Path) -> None:
+    folder = repository(tmp_path, "somebody-elses")
+    core = folder / "python" / "hvf_core"
+    shutil.copytree(Path(hvf_core.__file__).parent, core)
+    before = code_in(folder)
+    (extension,) = core.glob("hvf_core*.so")
+    extension.write_bytes(extension.read_bytes() + b"\0")
+    assert not same_code(before, code_in(folder))
+
+
+@needs_git
 def test_a_commit_that_changes_no_source_is_the_same_code(tmp_path: Path) -> None:
     folder = repository(tmp_path, "hvf")
     first = code_in(folder)

@@ -12,7 +12,9 @@ import platform
 import subprocess
 import sys
 from collections.abc import Mapping
+from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +29,9 @@ def code_of() -> dict[str, Any]:
 
     Returns:
         ``version`` of this package; ``commit`` of its repository, None outside of one; ``source``,
-        a checksum of the package's files (as committed, inside the repository); ``changes``, a
-        checksum of what is not committed, None where nothing is; ``packages``, ``python``,
-        ``machine``.
+        a checksum of the package's files (as committed, inside the repository; with the compiled
+        extension, outside of one); ``changes``, a checksum of what is not committed, None where
+        nothing is; ``packages``, ``python``, ``machine``.
     """
     commit, source, changes = _repository()
     return {
@@ -64,7 +66,7 @@ def _repository() -> tuple[str | None, str, str | None]:
         changed = _git(top, "diff", "HEAD", "--", *_SOURCE)
         new = _git(top, "ls-files", "--others", "--exclude-standard", "--", *_SOURCE)
     except (OSError, subprocess.SubprocessError):
-        return None, _checksum(sorted(_PACKAGE.rglob("*.py"))), None
+        return None, _checksum([*sorted(_PACKAGE.rglob("*.py")), *_extensions()]), None
     source = hashlib.sha256(trees.encode()).hexdigest()[:16]
     if not changed and not new.strip():
         return commit, source, None
@@ -85,10 +87,24 @@ def _is_ours(top: Path) -> bool:
     )
 
 
+def _extensions() -> list[Path]:
+    """The compiled half of the package: what it was compiled from is not installed."""
+    found = find_spec("hvf_core")
+    folders = found.submodule_search_locations if found is not None else None
+    return sorted(
+        path
+        for folder in folders or ()
+        for path in Path(folder).iterdir()
+        if path.name.endswith(tuple(EXTENSION_SUFFIXES))
+    )
+
+
 def _checksum(paths: list[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
-        digest.update(path.relative_to(_PACKAGE).as_posix().encode() + path.read_bytes())
+        inside = path.is_relative_to(_PACKAGE)
+        name = path.relative_to(_PACKAGE).as_posix() if inside else path.name
+        digest.update(name.encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
