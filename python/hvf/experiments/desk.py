@@ -47,6 +47,7 @@ _ACTING: Mapping[str, tuple[str, Mapping[str, Any]]] = {
 
 _ONE_AT_A_TIME: Mapping[str, Mapping[str, Any]] = {
     "default": {},
+    "T = 100": {"steps": 100},
     "T* = 10": {"steps_per_subgoal": 10},
     "T* = 10, chosen anew": {"steps_per_subgoal": 10, "choose_anew": True},
     "reached below 0.002": {"threshold": 2e-3},
