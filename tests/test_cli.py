@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +216,23 @@ def test_what_fails_on_the_way_is_status_1(
 
     monkeypatch.setattr(results, "run", stop)
     assert status(["results", "maze", "x"]) == 130
+
+
+def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
+    """As in ``hvf paper maze | head``."""
+    read, write = os.pipe()
+    os.close(read)
+    words = ["paper", "maze", "--no-run", "--only", "methods", "--out", "none"]
+    with os.fdopen(write, "wb") as pipe:
+        done = subprocess.run(
+            [*processes.HVF, *words],
+            cwd=tmp_path,
+            stdout=pipe,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=processes.DEADLINE,
+        )
+    assert (done.returncode, done.stderr) == (141, "")
 
 
 @pytest.mark.parametrize("verb", ["eval", "demo"])

@@ -7,6 +7,7 @@ dataclasses; what a domain or model adds comes from the registries, never from a
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -42,13 +43,17 @@ VERBS: dict[str, Verb] = {
     "export": Verb("hvf.cli.export", "", "a trained model in half precision"),
 }
 
+# `signal.SIGPIPE`, which Windows has not.
+_SIGPIPE = 13
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb.
 
     Returns:
         Exit status: 0; 2 for input that cannot be used (a wrong option, value or file), 1 for
-        what failed on the way (a full disk, an error of torch), 130 on Ctrl-C or SIGTERM.
+        what failed on the way (a full disk, an error of torch), 130 on Ctrl-C or SIGTERM, 141
+        where nobody reads what it prints any more.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
@@ -66,8 +71,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with sigterm_as_interrupt():
             importlib.import_module(VERBS[verb].module).run(rest)
+            sys.stdout.flush()
     except KeyboardInterrupt:
         return 130
+    except BrokenPipeError:
+        # Who read has gone, as `head` does. Python flushes once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + _SIGPIPE
     except (ValueError, TypeError, OSError, RuntimeError, ImportError) as error:
         if debug:
             console.print(escape(traceback.format_exc()), highlight=False, soft_wrap=True)
