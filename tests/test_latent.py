@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,10 +25,11 @@ from hvf.models.checkpoint import load_any, read_header, save_model  # noqa: E40
 from hvf.models.frames import to_unit  # noqa: E402
 from hvf.models.latent.basis import BlurredBasis  # noqa: E402
 from hvf.models.latent.config import LatentConfig  # noqa: E402
+from hvf.models.latent.dynamics import LatentDynamics  # noqa: E402
 from hvf.models.latent.model import LatentModel  # noqa: E402
 from hvf.training.loop import LoopConfig  # noqa: E402
 from hvf.training.recipe import train  # noqa: E402
-from hvf.training.tracks.coefficients import Coefficients, CoefficientWindows  # noqa: E402
+from hvf.training.tracks.coefficients import Coefficients, CoefficientWindows, fit_basis  # noqa: E402
 from hvf.worlds.latent import LatentWorld, world_of  # noqa: E402
 
 QUIET = Console(file=io.StringIO())
@@ -311,6 +313,7 @@ def test_windows_begin_where_actions_begin_and_stay_within_their_episode(tmp_pat
     write_episodes(path, Metadata("lights", {}, 0, 9, 8, {}), found)
     config = LatentConfig(image_size=(HEIGHT, WIDTH), cell=2, blur=1.0, components=8)
     basis = BlurredBasis(config)
+    fit_basis(path, basis, 8, console=QUIET)
     tracks = Coefficients(path, basis, 8, console=QUIET)
     np.testing.assert_array_equal(tracks.lengths, lengths)
     batch = CoefficientWindows(tracks, batch_size=200, length=2, hold=2, seed=0).batch(5)
@@ -334,11 +337,37 @@ def test_coefficients_are_seen_once_for_all_runs(
 ) -> None:
     path = written(tmp_path / "lights.h5", 8, 5)
     config = LatentConfig(image_size=(HEIGHT, WIDTH), cell=2, blur=1.0, components=8)
-    first = Coefficients(path, BlurredBasis(config), 6, console=QUIET)
+    basis, same = BlurredBasis(config), BlurredBasis(config)
+    for each in (basis, same):
+        fit_basis(path, each, 6, console=QUIET)
+    first = Coefficients(path, basis, 6, console=QUIET)
     monkeypatch.setattr(BlurredBasis, "forward", None)
-    again = Coefficients(path, BlurredBasis(config), 6, console=QUIET)
+    again = Coefficients(path, same, 6, console=QUIET)
     np.testing.assert_array_equal(first.coefficients, again.coefficients)
     np.testing.assert_array_equal(first.actions, again.actions)
+
+
+def test_a_training_that_goes_on_takes_no_components_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path / "lights.h5", 8, 5)
+    whole = trained_on(path, tmp_path / "whole", 8)
+    calls = []
+    advance = LatentDynamics.loss
+
+    def stopped(self: LatentDynamics, *arguments: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return advance(self, *arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(LatentDynamics, "loss", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            trained_on(path, tmp_path / "stopped", 8)
+    monkeypatch.setattr(BlurredBasis, "fit", None)
+    model = trained_on(path, tmp_path / "stopped", 8).state_dict()
+    assert all(model[name].equal(value) for name, value in whole.state_dict().items())
 
 
 def test_bad_input_is_one_clear_error(model: LatentModel) -> None:

@@ -18,12 +18,15 @@ from hvf.models.latent.model import LatentModel
 from hvf.models.video import State
 from hvf.training.loop import LoopConfig, Validation, seeded
 from hvf.training.recipe import Recipe, Stage, Stages, TrainingData
-from hvf.training.tracks.coefficients import Coefficients, CoefficientWindows
+from hvf.training.state import fitted
+from hvf.training.tracks.coefficients import Coefficients, CoefficientWindows, fit_basis
 from hvf.training.tracks.kept import checksum
 
 # Validation: steps ahead, and how many frames a picture shows.
 _HORIZON = 5
 _SHOWN = 10
+# What of the model's settings its components depend on.
+_OF_BASIS = ("image_size", "blur", "cell", "components")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -93,9 +96,18 @@ class LatentRecipe(Recipe):
         config = self.fitting(data)
         dynamics = seeded(seed, lambda: LatentDynamics(config))
         episodes = min(self.episodes, data.training)
-        found = Coefficients(
-            data.path, dynamics.basis, episodes, console=data.console, camera=data.camera
+        fitted(
+            self.folder / "basis.safetensors",
+            dynamics.basis,
+            {
+                "data": dataclasses.asdict(data.metadata),
+                "camera": data.camera,
+                "episodes": episodes,
+                "model": {name: getattr(config, name) for name in _OF_BASIS},
+            },
+            lambda basis: fit_basis(data.path, basis, episodes, data.console, data.camera),
         )
+        found = Coefficients(data.path, dynamics.basis, episodes, data.console, data.camera)
         settings = {
             "episodes": self.episodes,
             "batch_size": self.batch_size,

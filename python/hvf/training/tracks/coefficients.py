@@ -26,19 +26,17 @@ _SAMPLED, _STRIDE = 500, 3
 class Coefficients:
     """Coefficients of every frame, and the actions between them.
 
-    They are kept beside the file (:mod:`hvf.training.tracks.kept`). The components of ``basis``
-    are taken from the same episodes first.
+    They are kept beside the file (:mod:`hvf.training.tracks.kept`).
 
     Args:
         path: file of episodes.
-        basis: fitted here.
+        basis: fitted (:func:`fit_basis`).
         episodes: how many episodes to read, from the first.
         console: where progress goes.
         camera: whose frames to see; the first one's by default.
 
     Raises:
-        FileNotFoundError, ValueError: as :func:`~hvf.data.formats.open_episodes`; or frames that
-            are all the same.
+        FileNotFoundError, ValueError: as :func:`~hvf.data.formats.open_episodes`.
 
     Attributes:
         coefficients: float16 ``[P, T+1, Z]``.
@@ -55,11 +53,6 @@ class Coefficients:
         camera: str | None = None,
     ) -> None:
         with open_episodes(path, camera=camera) as file:
-            chosen = np.unique(np.linspace(0, episodes - 1, min(episodes, _SAMPLED)).astype(int))
-            frames = _frames(file, chosen.tolist(), console, "components of frames")
-            # One thread: the same components, and so the same file of coefficients, on any number.
-            with one_thread():
-                basis.fit(to_unit(torch.from_numpy(part[::_STRIDE])) for part in frames)
             found = kept_beside(
                 Path(path),
                 file.metadata,
@@ -74,6 +67,34 @@ class Coefficients:
             self.lengths = file.lengths[:episodes]
         self.coefficients: NDArray[np.float16] = found["coefficients"]
         self.actions: NDArray[np.float32] = found["actions"]
+
+
+def fit_basis(
+    path: str | Path,
+    basis: BlurredBasis,
+    episodes: int,
+    console: Console | None = None,
+    camera: str | None = None,
+) -> None:
+    """Take the components of ``basis`` from some of a file's first episodes.
+
+    Args:
+        path: file of episodes.
+        basis: fitted here.
+        episodes: how many episodes to choose from, from the first.
+        console: where progress goes.
+        camera: whose frames to see; the first one's by default.
+
+    Raises:
+        FileNotFoundError, ValueError: as :func:`~hvf.data.formats.open_episodes`; or frames that
+            are all the same.
+    """
+    with open_episodes(path, camera=camera) as file:
+        chosen = np.unique(np.linspace(0, episodes - 1, min(episodes, _SAMPLED)).astype(int))
+        frames = _frames(file, chosen.tolist(), console, "components of frames")
+        # One thread: the same components, and so the same file of coefficients, on any number.
+        with one_thread():
+            basis.fit(to_unit(torch.from_numpy(part[::_STRIDE])) for part in frames)
 
 
 def _frames(
