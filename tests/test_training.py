@@ -581,6 +581,22 @@ def test_a_class_is_found_by_the_names_that_it_had(
     assert load_model(old, Line).config == load_model(saved, Line).config
 
 
+def test_of_two_classes_of_a_name_a_checkpoint_leads_to_its_own_packages(
+    saved: Path, registered: ModelEntry, tmp_path: Path
+) -> None:
+    theirs = type("CVAE", (Line,), {"__module__": "their.models"})
+    MODELS.register("theirs", ModelEntry("a line", "video", "dynamics", theirs, None))
+    path = tmp_path / "theirs.safetensors"
+    save_model(path, theirs(LineConfig()), environment="kitchen")
+    assert load_any(path).name == "theirs"
+    assert load_any(WEIGHTS / "maze_cvae.safetensors").name == "cvae"
+    # An older checkpoint does not say where its class came from, nor is ours hidden by theirs.
+    tensors, metadata = read_tensors(path)
+    save_file(tensors, path, {k: v for k, v in metadata.items() if k != "package"})
+    with pytest.raises(ValueError, match="config of CVAE is not valid"):
+        load_any(path)
+
+
 def test_a_checkpoint_of_no_known_model_lists_those_that_there_are(saved: Path) -> None:
     with pytest.raises(ValueError, match=r"line\.safetensors: no model has the class 'Line'") as e:
         load_any(saved)

@@ -57,12 +57,14 @@ class Header:
         config: its config, as JSON.
         environment: name of the environment it was trained for, such as ``maze``.
         training: the run that made it: command, seed, steps, last validation.
+        package: where the class came from, such as ``hvf``; empty in older checkpoints.
     """
 
     model: str
     config: Mapping[str, Any]
     environment: str
     training: Mapping[str, Any]
+    package: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,6 +107,7 @@ def save_model(
     header = {
         "format": FORMAT,
         "model": type(model).__name__,
+        "package": type(model).__module__.partition(".")[0],
         "config": json.dumps(config_to_json(model), sort_keys=True, allow_nan=False),
         "environment": environment,
         "training": json.dumps(dict(training or {}), sort_keys=True, allow_nan=False),
@@ -122,13 +125,16 @@ def read_header(path: str | Path) -> Header:
     return _header(path, read_metadata(path))
 
 
-def entry_of(model: str) -> tuple[str, ModelEntry]:
+def entry_of(model: str, package: str = "") -> tuple[str, ModelEntry]:
     """Name and entry, in :data:`hvf.registry.MODELS`, of the models whose class is ``model``.
+
+    Of several classes of that name the one of ``package`` is taken, else the first.
 
     Raises:
         ValueError: no entry has that class; names those that there are.
     """
     known, absent = {}, []
+    found: tuple[str, ModelEntry] | None = None
     for name in MODELS:
         try:
             entry = MODELS[name]
@@ -136,8 +142,12 @@ def entry_of(model: str) -> tuple[str, ModelEntry]:
             absent.append(f"{name} ({error})")
             continue
         if model == entry.class_name or model in entry.formerly:
-            return name, entry
+            if package in ("", entry.package):
+                return name, entry
+            found = found or (name, entry)
         known[name] = entry.class_name
+    if found is not None:
+        return found
     listed = ", ".join(f"{name} ({kind})" for name, kind in known.items())
     missing = f"; not to be imported: {', '.join(absent)}" if absent else ""
     raise ValueError(f"no model has the class {model!r}; known are {listed}{missing}")
@@ -161,7 +171,7 @@ def load_any(
     tensors, metadata = read_tensors(path)
     header = _header(path, metadata)
     try:
-        name, entry = entry_of(header.model)
+        name, entry = entry_of(header.model, header.package)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     model = _build(path, entry.resolved("module"), header, tensors, environment)
@@ -255,7 +265,7 @@ def export_half(source: str | Path, target: str | Path) -> int:
     tensors, metadata = read_tensors(source)
     header = _header(source, metadata)
     try:
-        model_class = entry_of(header.model)[1].resolved("module")
+        model_class = entry_of(header.model, header.package)[1].resolved("module")
     except ValueError as error:
         raise ValueError(f"{source}: {error}") from None
     kept = getattr(model_class, "keep_float32", ())
@@ -344,6 +354,7 @@ def _header(path: str | Path, metadata: Mapping[str, str]) -> Header:
             config=json.loads(metadata["config"]),
             environment=metadata["environment"],
             training=json.loads(metadata["training"]),
+            package=metadata.get("package", ""),
         )
     except (KeyError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: damaged checkpoint header ({error!r})") from error

@@ -61,6 +61,12 @@ class ModelEntry:
             self.module.rpartition(":")[2] if isinstance(self.module, str) else self.module.__name__
         )
 
+    @property
+    def package(self) -> str:
+        """The package that the module's class comes from."""
+        where = self.module if isinstance(self.module, str) else self.module.__module__
+        return where.partition(":")[0].partition(".")[0]
+
     def resolved(self, attribute: str) -> Any:
         """``module``, ``plannable``, ``judge`` or ``recipe``, imported."""
         target = getattr(self, attribute)
