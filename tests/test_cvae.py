@@ -66,7 +66,7 @@ def layers(network: nn.Module, kind: type[nn.Module]) -> list[tuple[int, ...]]:
     return [tuple(m.weight.shape) for m in network.modules() if isinstance(m, kind)]
 
 
-def test_the_default_is_the_papers_maze_cvae() -> None:
+def test_the_default_has_the_layers_of_the_papers_maze_cvae() -> None:
     model = CVAE(CVAEConfig())
     assert layers(model.encoder, nn.Conv2d) == [
         (16, 3, 3, 3),

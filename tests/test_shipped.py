@@ -34,7 +34,7 @@ def test_all_that_ships_is_small() -> None:
 def test_hard_mazes_are_mostly_done_without_subgoals() -> None:
     evaluation = Evaluation.of("maze", method="none", task="hard")
     report = evaluate(evaluation, 20, console=QUIET)
-    # 80% of 100 test episodes; 20 trials of that go below 10 once in 2,000 times.
+    # 75% of 100 test episodes; 20 trials of that go below 10 once in 250 times.
     assert report.successes >= 10
     assert report.kind == "object"
 
@@ -70,7 +70,7 @@ def test_the_door_is_mostly_closed(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     evaluation = Evaluation.of("desk", method="none", task="door")
     report = evaluate(evaluation, 6, tmp_path / "door.json", console=QUIET)
-    # 97% of 100 test episodes.
+    # 99% of 100 test episodes.
     assert report.successes >= 4
 
 
