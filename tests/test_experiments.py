@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import signal
 import sys
 import time
@@ -15,6 +16,7 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report, load, save
 from hvf.evaluation.run import evaluate
 from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.notes import planned_with
 from hvf.experiments.paper import (
     EXPERIMENTS,
     files,
@@ -362,6 +364,54 @@ def test_tables_show_ours_beside_the_papers_and_leave_blank_what_is_missing(
     assert f"`hvf paper maze --preset paper --out {tmp_path} --only subgoals`" in lines
     assert "Code: c0ffee." in lines
     assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_a_table_says_which_models_its_rows_are_of_and_of_what_kind() -> None:
+    given = dataclasses.replace(PAPER, models=(("rig", "runs/rig/model.safetensors"),))
+    chosen = {table.name: table for table in tables(given, ["methods", "samples", "cost"])}
+    cell = chosen["methods"].rows
+    there = {"no subgoals": "object", "HVF-1": "object", "RIG": "video", "random": ""}
+    reports: dict[Evaluation, Report] = {}
+    for name, kind in there.items():
+        evaluation = cell[name][0].evaluation
+        assert evaluation is not None
+        reports[evaluation] = made(evaluation, range(1), 2, kind)
+    latent = chosen["cost"].rows["latent"][0].evaluation
+    assert latent is not None
+    weights = {"dynamics": {"model": "keypoint", "sha256": ""}}
+    weights["cost"] = {"model": "cvae", "sha256": ""}
+    reports[latent] = dataclasses.replace(made(latent, range(1), 2), weights=weights)
+    under = {
+        name: [
+            line
+            for line in markdown([table], reports, "").splitlines()
+            if line.startswith("Models:")
+        ]
+        for name, table in chosen.items()
+    }
+    assert under == {
+        # Of a checkpoint that a report has no weights of, its file is known.
+        "methods": ["Models: keypoint and cvae (object); runs/rig/model.safetensors (video)."],
+        "samples": [],
+        "cost": ["Models: keypoint and cvae (object)."],
+    }
+
+
+def test_rows_of_both_kinds_and_true_dynamics_are_told_apart() -> None:
+    def report(dynamics: str, kind: str, method: str = "hvf") -> Report:
+        evaluation = Evaluation.of("maze", method=method, dynamics=dynamics)
+        return made(evaluation, range(1), 2, kind)
+
+    reports = [
+        report("latent", "video", "none"),
+        report("simulator", "simulator"),
+        report("latent", "video"),
+        report("keypoint", "object", "none"),
+    ]
+    assert planned_with(reports) == (
+        "Models: simulator and oracle (simulator); latent and cvae (video); keypoint (object)."
+    )
+    assert planned_with([made(RANDOM[0], range(1), 2, "")]) == ""
 
 
 def test_a_file_of_something_else_is_not_taken_for_a_cell(tmp_path: Path) -> None:

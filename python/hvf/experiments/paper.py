@@ -25,8 +25,9 @@ from hvf.evaluation.statistics import difference_interval
 from hvf.experiments.cells import Cell, Order, PaperTable, Setup
 from hvf.experiments.desk import desk
 from hvf.experiments.maze import maze
+from hvf.experiments.notes import notes, planned_with
 from hvf.experiments.parallel import Failure, report_of, run_all
-from hvf.experiments.tables import compared, difference, line, notes, rate
+from hvf.experiments.tables import compared, difference, line, rate
 
 PUBLISHED_TRIALS = 100
 """Trials behind each number of the paper."""
@@ -143,6 +144,7 @@ def markdown(
     """
     lines = []
     for table in chosen:
+        there = [reports[each] for each in table.evaluations if each in reports]
         lines += [
             f"**{table.title}**",
             "",
@@ -153,6 +155,7 @@ def markdown(
                 for name, cells in table.rows.items()
             ),
             "",
+            *_paragraph(planned_with(there)),
             f"`hvf paper {options} --only {table.name}`",
             "",
         ]
@@ -190,6 +193,11 @@ def order_verdict(report: Report, baseline: Report, order: Order) -> str:
     found = compared(report, baseline)
     low, high = (found.low, found.high) if order == "higher" else (-found.high, -found.low)
     return "the paper's order" if low > 0 else "reversed" if high < 0 else "not shown"
+
+
+def _paragraph(words: str) -> list[str]:
+    """Lines of a paragraph; none if there is nothing to say."""
+    return [words, ""] if words else []
 
 
 def _legend(table: PaperTable) -> str:

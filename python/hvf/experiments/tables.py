@@ -14,6 +14,7 @@ from typing import Any
 from hvf.domains.domain import Domain
 from hvf.evaluation.report import Report, load
 from hvf.evaluation.statistics import Paired, paired
+from hvf.experiments.notes import notes
 from hvf.registry import METHODS
 
 BASELINE = "none"
@@ -118,16 +119,6 @@ def rate(report: Report) -> str:
 def line(cells: Iterable[str]) -> str:
     """A row of a Markdown table."""
     return f"| {' | '.join(cells)} |"
-
-
-def made_by(reports: Iterable[Report]) -> str:
-    """The code that made reports, in a sentence."""
-    commits = set()
-    for report in reports:
-        commit = report.code.get("commit")
-        words = str(commit)[:10] if commit else f"version {report.code.get('version')}"
-        commits.add(words + (" with changes" if report.code.get("changes") and commit else ""))
-    return f"Code: {', '.join(sorted(commits))}."
 
 
 def _rates(
@@ -300,26 +291,6 @@ def _seconds(reports: Iterable[Report]) -> tuple[str, str]:
     pooled = dataclasses.replace(first, trials=trials)
     search = f"{pooled.search_seconds:.2f}" if pooled.search_seconds > 1e-3 else ""
     return search, f"{1e3 * pooled.step_seconds:.1f}"
-
-
-def notes(reports: Iterable[Report]) -> list[str]:
-    """What a reader has to know: episodes, the code that made the rows, weights that differ."""
-    reports = list(reports)
-    episodes = f"split {reports[0].split}, " if reports[0].split else ""
-    notes = [
-        f"Episodes: {episodes}seed {reports[0].seed}; 100 where no n is given.",
-        made_by(reports),
-    ]
-    weights: dict[tuple[str, str], set[str]] = {}
-    for report in reports:
-        for role, weight in report.weights.items():
-            # A checkpoint of one's own is named in its row.
-            shown = str(report.world.get(role) or weight["model"])
-            weights.setdefault((role, shown), set()).add(weight["sha256"])
-    mixed = sorted({shown for (_, shown), sums in weights.items() if len(sums) > 1})
-    if mixed:
-        notes.append(f"Not all rows are of the same weights: {', '.join(mixed)} differ.")
-    return notes
 
 
 def _successes(report: Report) -> dict[int, bool]:
