@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import signal
 import sys
 import time
@@ -290,6 +291,26 @@ def test_rows_that_are_compared_with_each_other_say_by_how_much_they_differ() ->
     assert "p < 0.001" in row
     assert "same episodes" in text
     assert "the paper's number" not in text
+    assert "\nPoints are more than *plain CEM*.\n" in text
+
+
+@pytest.mark.parametrize(
+    ("domain", "name"), [("desk", "objectives"), ("desk", "acting"), ("maze", "objectives")]
+)
+def test_a_table_names_the_row_that_each_of_its_differences_is_to(domain: str, name: str) -> None:
+    (table,) = tables(Setup(domain, "default", split="validation"), [name])
+    (line,) = [
+        one for one in markdown([table], {}, "").splitlines() if one.startswith("Points are")
+    ]
+    others: dict[str, str] = {}
+    for words in line.removeprefix("Points are").split(";"):
+        named = re.findall(r"\*(.+?)\*", words)
+        others |= dict.fromkeys(named[:1] if len(named) == 2 else table.rows, named[-1])
+    for row, cells in table.rows.items():
+        for place, cell in enumerate(cells):
+            if cell.baseline is not None:
+                other = others[row]
+                assert table.rows[other][place].evaluation == cell.baseline
 
 
 def test_evaluations_that_would_share_a_file_are_refused() -> None:

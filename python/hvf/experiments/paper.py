@@ -39,9 +39,10 @@ LEGEND = (
 )
 
 PAIRED = (
-    "Success with its 95% Wilson interval; behind it the points more than the first row's, on the "
-    "same episodes, with their 95% interval for paired data (Newcombe, 1998, method 10) and "
-    "McNemar's exact p, which is not corrected for the number of comparisons."
+    "Success with its 95% Wilson interval; behind it, where both are there, the points more than "
+    "the row that is named under the table, on the same episodes, with their 95% interval for "
+    "paired data (Newcombe, 1998, method 10) and McNemar's exact p, which is not corrected for the "
+    "number of comparisons."
 )
 
 ORDERS = (
@@ -155,6 +156,7 @@ def markdown(
                 for name, cells in table.rows.items()
             ),
             "",
+            *_paragraph(_pairs(table)),
             *_paragraph(planned_with(there)),
             f"`hvf paper {options} --only {table.name}`",
             "",
@@ -206,6 +208,30 @@ def _legend(table: PaperTable) -> str:
     if any(cell.order for cell in cells):
         return ORDERS
     return PAIRED if any(cell.baseline for cell in cells) else LEGEND
+
+
+def _pairs(table: PaperTable) -> str:
+    """Which rows are compared with which; empty if none are, or if rows say it themselves."""
+    if _legend(table) != PAIRED:
+        return ""
+    named = {
+        (place, cell.evaluation): name
+        for name, cells in table.rows.items()
+        for place, cell in enumerate(cells)
+    }
+    found = list(
+        dict.fromkeys(
+            (name, named.get((place, cell.baseline), cell.baseline.name))
+            for name, cells in table.rows.items()
+            for place, cell in enumerate(cells)
+            if cell.baseline is not None
+        )
+    )
+    others = {other for _, other in found}
+    if len(others) == 1:
+        return f"Points are more than *{others.pop()}*."
+    pairs = (f"*{name}* more than *{other}*" for name, other in found)
+    return f"Points are of {'; '.join(pairs)}."
 
 
 def _words(cell: Cell, reports: Mapping[Evaluation, Report]) -> str:
