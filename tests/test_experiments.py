@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import re
 import signal
 import sys
@@ -17,7 +18,7 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report, load, save
 from hvf.evaluation.run import evaluate
 from hvf.experiments.cells import Cell, PaperTable, Setup
-from hvf.experiments.notes import planned_with
+from hvf.experiments.notes import outdated, planned_with
 from hvf.experiments.paper import (
     EXPERIMENTS,
     files,
@@ -433,6 +434,100 @@ def test_rows_of_both_kinds_and_true_dynamics_are_told_apart() -> None:
         "Models: simulator and oracle (simulator); latent and cvae (video); keypoint (object)."
     )
     assert planned_with([made(RANDOM[0], range(1), 2, "")]) == ""
+
+
+def shipped(evaluation: Evaluation, **files: str) -> Report:
+    """A report with the weights that files hold now, by part, or with others where it is empty."""
+    domain = evaluation.place
+    weights = {
+        part: {
+            "model": name,
+            "sha256": hashlib.sha256(domain.weights[name].read_bytes()).hexdigest(),
+        }
+        for part, name in files.items()
+    }
+    return dataclasses.replace(made(evaluation, range(1), 100), weights=weights)
+
+
+def of_others(report: Report, part: str) -> Report:
+    """The same, with other weights of a part."""
+    weights = {**report.weights, part: {**report.weights[part], "sha256": "0" * 64}}
+    return dataclasses.replace(report, weights=weights)
+
+
+def test_cells_of_other_weights_than_ship_now_are_named_and_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (table,) = tables(PAPER, ["cost"])
+    (methods,) = tables(PAPER, ["methods"])
+    pixel, latent = (table.rows[name][2].evaluation for name in ("pixel", "latent"))
+    hvf = methods.rows["HVF-2"][2].evaluation
+    assert pixel is not None
+    assert latent is not None
+    assert hvf is not None
+    reports = {
+        pixel: shipped(pixel, dynamics="keypoint"),
+        latent: shipped(latent, dynamics="keypoint", cost="cvae"),
+        hvf: shipped(hvf, dynamics="keypoint", generator="cvae"),
+    }
+
+    def notes(changed: Evaluation | None, part: str) -> list[str]:
+        for evaluation, file in files([table, methods], tmp_path).items():
+            if evaluation in reports:
+                report = reports[evaluation]
+                save(of_others(report, part) if evaluation == changed else report, file)
+        before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+        words = ["paper", "maze", "--only", "cost", "methods", "--out", str(tmp_path), "--no-run"]
+        assert main(words) == 0
+        assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
+        output = capsys.readouterr().out
+        assert "| HVF-2 |  |  | 1% [0, 5] (paper 54%: lower) |" in output
+        return [line for line in output.splitlines() if line.startswith("Not of the weights")]
+
+    assert notes(None, "") == []
+    ship = "Not of the weights that ship now"
+    assert notes(hvf, "generator") == [f"{ship}: *HVF-2, hard* (cvae)."]
+    assert notes(latent, "cost") == [f"{ship}: *latent, hard* (cvae)."]
+    # A cell of two tables is named under both.
+    assert notes(pixel, "dynamics") == [
+        f"{ship}: *no subgoals, hard* (keypoint).",
+        f"{ship}: *pixel, hard* (keypoint).",
+    ]
+
+
+def test_distances_that_ship_are_compared_and_checkpoints_from_files_are_not() -> None:
+    steps = Evaluation.of("maze", segment_cost="distance", cost="temporal")
+    parts = {"cost": "temporal-distance", "segment": "temporal-distance"}
+    report = shipped(steps, dynamics="keypoint", generator="keypoint-generator", **parts)
+    assert outdated(steps, report) == []
+    assert outdated(steps, of_others(report, "cost")) == ["temporal-distance"]
+    assert outdated(steps, of_others(report, "segment")) == ["temporal-distance"]
+    assert outdated(steps, of_others(report, "generator")) == ["keypoint-generator"]
+    own = dataclasses.replace(
+        steps,
+        world=dataclasses.replace(
+            steps.world,
+            dynamics="my/model.safetensors",
+            generator="keypoint-generator",
+            segment_model="temporal-distance",
+        ),
+    )
+    assert outdated(own, of_others(report, "dynamics")) == []
+    assert outdated(own, of_others(report, "cost")) == ["temporal-distance"]
+
+
+def test_what_a_cell_is_compared_with_is_of_the_weights_that_ship_now_too() -> None:
+    (table,) = tables(Setup("maze", "default", split="validation"), ["planners"])
+    cell = table.rows["coloured noise"][0]
+    assert cell.evaluation is not None
+    assert cell.baseline is not None
+    plain = of_others(shipped(cell.baseline, dynamics="keypoint"), "dynamics")
+    reports = {cell.evaluation: shipped(cell.evaluation, dynamics="keypoint"), cell.baseline: plain}
+    (line,) = [
+        line for line in markdown([table], reports, "").splitlines() if "weights that" in line
+    ]
+    assert "*plain CEM, no subgoals* (keypoint)" in line
+    assert "*coloured noise, no subgoals* (keypoint)" in line
 
 
 def test_a_file_of_something_else_is_not_taken_for_a_cell(tmp_path: Path) -> None:

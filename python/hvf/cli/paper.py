@@ -18,7 +18,8 @@ class Paper:
     """Run the evaluations behind the paper's tables, and print them with ours beside.
 
     Each cell is a JSON file; those that are finished are read, and a stopped one goes on with the
-    same command. Examples:
+    same command. A finished cell of other weights than ship now is kept, and named under its
+    table; remove its file to run it anew. Examples:
 
         hvf paper maze --only subgoals horizon
 

@@ -5,9 +5,14 @@ All of it is read from the reports themselves.
 
 from __future__ import annotations
 
+import functools
+import hashlib
 from collections.abc import Iterable
+from pathlib import Path
 
+from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report
+from hvf.worlds.load import cost_model
 
 _PARTS = ("dynamics", "generator", "segment", "cost", "method")
 """Parts that a model may have, in the order in which they are named."""
@@ -61,6 +66,37 @@ def planned_with(reports: Iterable[Report]) -> str:
         if models and not any(kind == other and set(models) < set(more) for more, other in found)
     ]
     return f"Models: {'; '.join(words)}." if words else ""
+
+
+def outdated(evaluation: Evaluation, report: Report) -> list[str]:
+    """Models of a report that ship under the same name with other weights today.
+
+    Of models from files nothing is said: what these hold is not for the package to know.
+
+    Args:
+        evaluation: what would run today.
+        report: what ran then.
+    """
+    domain = evaluation.place
+    held = {part: weights["model"] for part, weights in report.weights.items()}
+    asked = cost_model(domain, evaluation.world, held.get("dynamics", ""))
+    names = {**evaluation.world_names, "cost": asked or ""}
+    shipped = {
+        part: domain.weights[names[part]]
+        for part in _PARTS
+        if part in held and names.get(part) in domain.weights
+    }
+    return [
+        names[part]
+        for part, path in shipped.items()
+        if path.is_file() and report.weights[part]["sha256"] != _sum(path, path.stat().st_mtime_ns)
+    ]
+
+
+@functools.lru_cache
+def _sum(path: Path, changed: int) -> str:
+    """Checksum of a file, read again when it has changed."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _together(report: Report) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from hvf.evaluation.statistics import difference_interval
 from hvf.experiments.cells import Cell, Order, PaperTable, Setup
 from hvf.experiments.desk import desk
 from hvf.experiments.maze import maze
-from hvf.experiments.notes import notes, planned_with
+from hvf.experiments.notes import notes, outdated, planned_with
 from hvf.experiments.parallel import Failure, report_of, run_all
 from hvf.experiments.tables import compared, difference, line, rate
 
@@ -158,6 +158,7 @@ def markdown(
             "",
             *_paragraph(_pairs(table)),
             *_paragraph(planned_with(there)),
+            *_paragraph(_outdated(table, reports)),
             f"`hvf paper {options} --only {table.name}`",
             "",
         ]
@@ -232,6 +233,23 @@ def _pairs(table: PaperTable) -> str:
         return f"Points are more than *{others.pop()}*."
     pairs = (f"*{name}* more than *{other}*" for name, other in found)
     return f"Points are of {'; '.join(pairs)}."
+
+
+def _outdated(table: PaperTable, reports: Mapping[Evaluation, Report]) -> str:
+    """Which cells are of weights that have changed since; empty if none are."""
+    found: dict[str, list[str]] = {}
+    for name, cells in table.rows.items():
+        for column, cell in zip(table.columns, cells, strict=True):
+            words = f"{name}, {column}" if len(table.columns) > 1 else name
+            for each in (cell.evaluation, cell.baseline):
+                if each is not None and each in reports:
+                    found.setdefault(words, []).extend(outdated(each, reports[each]))
+    cells_of = [
+        f"*{words}* ({', '.join(dict.fromkeys(models))})"
+        for words, models in found.items()
+        if models
+    ]
+    return f"Not of the weights that ship now: {'; '.join(cells_of)}." if cells_of else ""
 
 
 def _words(cell: Cell, reports: Mapping[Evaluation, Report]) -> str:
