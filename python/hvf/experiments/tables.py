@@ -2,6 +2,9 @@
 
 Rows are methods with their settings, columns are tasks. Everything stands in the reports and in
 the light :class:`~hvf.domains.domain.Domain`, so neither torch nor a simulator is imported.
+
+Times stand in the JSON only: evaluations run side by side on machines that do other things, so
+those of two rows do not compare. Speed is what ``benchmarks/`` measures.
 """
 
 from __future__ import annotations
@@ -125,16 +128,16 @@ def _rates(
     rows: Mapping[Row, Mapping[str, Report]], domain: Domain, tasks: Sequence[str]
 ) -> list[str]:
     """The table of success rates, published ones last."""
-    header = ["settings", "world", "kind", "method", *tasks, "s/search", "ms/step"]
-    lines = [line(header), f"|{'---|' * 4}{'---:|' * (len(tasks) + 2)}"]
+    header = ["settings", "world", "kind", "method", *tasks]
+    lines = [line(header), f"|{'---|' * 4}{'---:|' * len(tasks)}"]
     for row in sorted(rows, key=_order):
         cells = rows[row]
         rates = [rate(cells[task]) if task in cells else "" for task in tasks]
-        lines.append(line([*row.words, *rates, *_seconds(cells.values())]))
+        lines.append(line([*row.words, *rates]))
     for (method, subgoals), published in domain.published.items():
         row = Row("ICLR 2020, tables", "SV2P", domain.published_kind, method, subgoals)
         rates = [f"{published[task]:.0%}" if task in published else "" for task in tasks]
-        lines.append(line([*row.words, *rates, "", ""]))
+        lines.append(line([*row.words, *rates]))
     return lines
 
 
@@ -282,15 +285,6 @@ def _order(row: Row) -> tuple[bool, str, str, int, int]:
     planless = not METHODS[row.method].needs_dynamics
     dynamics, method = row.world.split(" (")[0], list(METHODS).index(row.method)
     return planless, row.settings, dynamics, method, row.subgoals
-
-
-def _seconds(reports: Iterable[Report]) -> tuple[str, str]:
-    """Mean seconds per search and milliseconds per step over all trials of a row."""
-    first, *others = reports
-    trials = first.trials + tuple(trial for report in others for trial in report.trials)
-    pooled = dataclasses.replace(first, trials=trials)
-    search = f"{pooled.search_seconds:.2f}" if pooled.search_seconds > 1e-3 else ""
-    return search, f"{1e3 * pooled.step_seconds:.1f}"
 
 
 def _successes(report: Report) -> dict[int, bool]:
