@@ -48,8 +48,9 @@ PAIRED = (
 ORDERS = (
     "Success of the first with its 95% Wilson interval; behind it the points more than the second, "
     "on the same episodes, with their 95% interval for paired data (Newcombe, 1998, method 10) and "
-    "McNemar's exact p, which is not corrected for the number of comparisons; and whether that is "
-    "the paper's order (the interval is on that side of 0), the reverse, or neither is shown."
+    "McNemar's exact p, which is not corrected for the number of comparisons; and, where the paper "
+    "has an order, whether ours is that (the interval is on that side of 0), the reverse, or "
+    "neither is shown."
 )
 
 EXPERIMENTS: Mapping[str, Callable[[Setup], list[PaperTable]]] = {"desk": desk, "maze": maze}
