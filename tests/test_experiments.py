@@ -8,6 +8,7 @@ import re
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,6 @@ from hvf.evaluation.run import evaluate
 from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.experiments.notes import outdated, planned_with
 from hvf.experiments.paper import (
-    EXPERIMENTS,
     files,
     markdown,
     paper,
@@ -29,6 +29,7 @@ from hvf.experiments.paper import (
 )
 from hvf.experiments.parallel import finished, report_of, run_all
 from hvf.experiments.planners import VARIANTS
+from hvf.registry import DOMAINS
 from hvf_core import HVF, VisualMPC
 from made_reports import made
 
@@ -342,8 +343,10 @@ def test_tables_are_chosen_by_name() -> None:
     ]
     with pytest.raises(ValueError, match=r"only: must be of methods, .*; got 'table2'"):
         tables(PAPER, ["subgoals", "table2"])
-    with pytest.raises(ValueError, match=r"domain: .* maze; got 'moon'"):
+    with pytest.raises(ValueError, match=r"domain: .* maze, .*; got 'moon'"):
         tables(Setup("moon"))
+    with pytest.raises(ValueError, match="domain: video has no tables of experiments"):
+        tables(Setup("video"))
     with pytest.raises(ValueError, match="preset"):
         tables(Setup("maze", "moon"))
 
@@ -585,6 +588,12 @@ def test_a_failed_evaluation_does_not_stop_the_others(tmp_path: Path) -> None:
     assert finished(RANDOM[0], where[RANDOM[0]], 2)
 
 
+def with_tables(patch: pytest.MonkeyPatch, made: Callable[[Setup], list[PaperTable]]) -> None:
+    """The maze has these tables and no others."""
+    maze = dataclasses.replace(DOMAINS["maze"], experiments=made)
+    patch.setattr(DOMAINS, "_targets", {**DOMAINS._targets, "maze": maze})
+
+
 def test_the_command_prints_tables_although_a_cell_failed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -594,7 +603,7 @@ def test_the_command_prints_tables_although_a_cell_failed(
         rows = {"bad": (Cell(missing, 0.5),), "good": (Cell(RANDOM[0], 0.5),)}
         return [PaperTable("toy", "Toy", "which", ("success",), rows)]
 
-    monkeypatch.setattr("hvf.experiments.paper.EXPERIMENTS", {**EXPERIMENTS, "maze": toy})
+    with_tables(monkeypatch, toy)
     assert main(["paper", "maze", "--trials", "2", "--out", str(tmp_path / "out")]) == 1
     output = capsys.readouterr()
     assert "| bad | (paper 50%) |" in output.out
@@ -659,7 +668,7 @@ def test_the_tables_of_a_paper_run_from_nothing_and_go_on(tmp_path: Path) -> Non
 
     setup = Setup("maze", split="validation")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hvf.experiments.paper.EXPERIMENTS", {"maze": toy})
+        with_tables(patch, toy)
         empty, _ = paper(setup, tmp_path, run=False)
         first, failures = paper(setup, tmp_path, trials=3, workers=2)
         again, _ = paper(setup, tmp_path, run=False)

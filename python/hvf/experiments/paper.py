@@ -1,8 +1,8 @@
 """``hvf paper``: the paper's tables as lists of evaluations.
 
 A domain's experiments are a function from :class:`~hvf.experiments.cells.Setup` (preset, world,
-split) to tables of :class:`~hvf.experiments.cells.Cell`, listed in :data:`EXPERIMENTS`. A cell of
-several tables is evaluated once.
+split) to tables of :class:`~hvf.experiments.cells.Cell`, which the domain names
+(:attr:`hvf.domains.domain.Domain.experiments`). A cell of several tables is evaluated once.
 
 Numbers of the paper (Nair & Finn, ICLR 2020) are success rates over 100 trials. A *verdict* says
 how ours compares: ``higher`` or ``lower`` if the 95% interval of the difference of the two rates
@@ -23,11 +23,11 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report
 from hvf.evaluation.statistics import difference_interval
 from hvf.experiments.cells import Cell, Order, PaperTable, Setup
-from hvf.experiments.desk import desk
-from hvf.experiments.maze import maze
 from hvf.experiments.notes import notes, outdated, planned_with
 from hvf.experiments.parallel import Failure, report_of, run_all
 from hvf.experiments.tables import compared, difference, line, rate
+from hvf.importing import imported
+from hvf.registry import DOMAINS
 
 PUBLISHED_TRIALS = 100
 """Trials behind each number of the paper."""
@@ -53,20 +53,30 @@ ORDERS = (
     "neither is shown."
 )
 
-EXPERIMENTS: Mapping[str, Callable[[Setup], list[PaperTable]]] = {"desk": desk, "maze": maze}
-"""Domain to its tables."""
+
+def all_tables(setup: Setup) -> list[PaperTable]:
+    """All tables of a domain, also those that are made only when they are named.
+
+    Raises:
+        ValueError: a domain that there is not, or that has no tables; settings out of range.
+        ImportError: they are somebody's, and cannot be imported.
+    """
+    target = DOMAINS[setup.domain].experiments
+    if target is None:
+        raise ValueError(f"domain: {setup.domain} has no tables of experiments")
+    experiments: Callable[[Setup], list[PaperTable]] = (
+        imported(target) if isinstance(target, str) else target
+    )
+    return experiments(setup)
 
 
 def tables(setup: Setup, only: Sequence[str] = ()) -> list[PaperTable]:
     """The tables of a domain, or some of them.
 
     Raises:
-        ValueError: a domain or table that there is not, or settings out of range.
+        ValueError: a table that there is not; ImportError: as :func:`all_tables`.
     """
-    if setup.domain not in EXPERIMENTS:
-        known = ", ".join(EXPERIMENTS)
-        raise ValueError(f"domain: the paper's tables are of {known}; got {setup.domain!r}")
-    found = {table.name: table for table in EXPERIMENTS[setup.domain](setup)}
+    found = {table.name: table for table in all_tables(setup)}
     for name in only:
         if name not in found:
             raise ValueError(f"only: must be of {', '.join(found)}; got {name!r}")
