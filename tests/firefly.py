@@ -15,6 +15,7 @@ import torch
 from hvf.data.loader import WindowSampler
 from hvf.domains.domain import Domain, Place
 from hvf.domains.gym import gym_domain
+from hvf.experiments.cells import Cell, PaperTable, Setup
 from hvf.models.entry import ModelEntry
 from hvf.registry import DOMAINS, MODELS
 from hvf.settings import Planning, World
@@ -107,8 +108,15 @@ class WingsRecipe(Recipe):
         yield Stage(wings, WindowSampler(data.pool(), 32, 1, self.loop.seed), self.loop)
 
 
-FIREFLY = gym_domain(
-    "firefly", Firefly, steps=12, planning=PLANNING, world=World("wings.safetensors")
+def flights(setup: Setup) -> list[PaperTable]:
+    """Tables of its own for ``hvf paper``."""
+    cell = Cell(setup.evaluation("random"), published=0.02)
+    return [PaperTable("flights", "Flights in the dark", "wings", ("there",), {"random": (cell,)})]
+
+
+FIREFLY = dataclasses.replace(
+    gym_domain("firefly", Firefly, steps=12, planning=PLANNING, world=World("wings.safetensors")),
+    experiments=flights,
 )
 WINGS = ModelEntry("how a light flies", "video", "dynamics", Wings, Flight, WingsRecipe)
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import re
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,8 +19,8 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report, load, save
 from hvf.evaluation.run import evaluate
 from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.notes import outdated, planned_with
 from hvf.experiments.paper import (
-    EXPERIMENTS,
     files,
     markdown,
     paper,
@@ -25,6 +29,7 @@ from hvf.experiments.paper import (
 )
 from hvf.experiments.parallel import finished, report_of, run_all
 from hvf.experiments.planners import VARIANTS
+from hvf.registry import DOMAINS
 from hvf_core import HVF, VisualMPC
 from made_reports import made
 
@@ -314,6 +319,26 @@ def test_rows_that_are_compared_with_each_other_say_by_how_much_they_differ() ->
     assert "p < 0.001" in row
     assert "same episodes" in text
     assert "the paper's number" not in text
+    assert "\nPoints are more than *plain CEM*.\n" in text
+
+
+@pytest.mark.parametrize(
+    ("domain", "name"), [("desk", "objectives"), ("desk", "acting"), ("maze", "objectives")]
+)
+def test_a_table_names_the_row_that_each_of_its_differences_is_to(domain: str, name: str) -> None:
+    (table,) = tables(Setup(domain, "default", split="validation"), [name])
+    (line,) = [
+        one for one in markdown([table], {}, "").splitlines() if one.startswith("Points are")
+    ]
+    others: dict[str, str] = {}
+    for words in line.removeprefix("Points are").split(";"):
+        named = re.findall(r"\*(.+?)\*", words)
+        others |= dict.fromkeys(named[:1] if len(named) == 2 else table.rows, named[-1])
+    for row, cells in table.rows.items():
+        for place, cell in enumerate(cells):
+            if cell.baseline is not None:
+                other = others[row]
+                assert table.rows[other][place].evaluation == cell.baseline
 
 
 def test_evaluations_that_would_share_a_file_are_refused() -> None:
@@ -344,8 +369,10 @@ def test_tables_are_chosen_by_name() -> None:
     ]
     with pytest.raises(ValueError, match=r"only: must be of methods, .*; got 'table2'"):
         tables(PAPER, ["subgoals", "table2"])
-    with pytest.raises(ValueError, match=r"domain: .* maze; got 'moon'"):
+    with pytest.raises(ValueError, match=r"domain: .* maze, .*; got 'moon'"):
         tables(Setup("moon"))
+    with pytest.raises(ValueError, match="domain: video has no tables of experiments"):
+        tables(Setup("video"))
     with pytest.raises(ValueError, match="preset"):
         tables(Setup("maze", "moon"))
 
@@ -388,6 +415,148 @@ def test_tables_show_ours_beside_the_papers_and_leave_blank_what_is_missing(
     assert f"`hvf paper maze --preset paper --out {tmp_path} --only subgoals`" in lines
     assert "Code: c0ffee." in lines
     assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_a_table_says_which_models_its_rows_are_of_and_of_what_kind() -> None:
+    given = dataclasses.replace(PAPER, models=(("rig", "runs/rig/model.safetensors"),))
+    chosen = {table.name: table for table in tables(given, ["methods", "samples", "cost"])}
+    cell = chosen["methods"].rows
+    there = {"no subgoals": "object", "HVF-1": "object", "RIG": "video", "random": ""}
+    reports: dict[Evaluation, Report] = {}
+    for name, kind in there.items():
+        evaluation = cell[name][0].evaluation
+        assert evaluation is not None
+        reports[evaluation] = made(evaluation, range(1), 2, kind)
+    latent = chosen["cost"].rows["latent"][0].evaluation
+    assert latent is not None
+    weights = {"dynamics": {"model": "keypoint", "sha256": ""}}
+    weights["cost"] = {"model": "cvae", "sha256": ""}
+    reports[latent] = dataclasses.replace(made(latent, range(1), 2), weights=weights)
+    under = {
+        name: [
+            line
+            for line in markdown([table], reports, "").splitlines()
+            if line.startswith("Models:")
+        ]
+        for name, table in chosen.items()
+    }
+    assert under == {
+        # Of a checkpoint that a report has no weights of, its file is known.
+        "methods": ["Models: keypoint and cvae (object); runs/rig/model.safetensors (video)."],
+        "samples": [],
+        "cost": ["Models: keypoint and cvae (object)."],
+    }
+
+
+def test_rows_of_both_kinds_and_true_dynamics_are_told_apart() -> None:
+    def report(dynamics: str, kind: str, method: str = "hvf") -> Report:
+        evaluation = Evaluation.of("maze", method=method, dynamics=dynamics)
+        return made(evaluation, range(1), 2, kind)
+
+    reports = [
+        report("latent", "video", "none"),
+        report("simulator", "simulator"),
+        report("latent", "video"),
+        report("keypoint", "object", "none"),
+    ]
+    assert planned_with(reports) == (
+        "Models: simulator and oracle (simulator); latent and cvae (video); keypoint (object)."
+    )
+    assert planned_with([made(RANDOM[0], range(1), 2, "")]) == ""
+
+
+def shipped(evaluation: Evaluation, **files: str) -> Report:
+    """A report with the weights that files hold now, by part, or with others where it is empty."""
+    domain = evaluation.place
+    weights = {
+        part: {
+            "model": name,
+            "sha256": hashlib.sha256(domain.weights[name].read_bytes()).hexdigest(),
+        }
+        for part, name in files.items()
+    }
+    return dataclasses.replace(made(evaluation, range(1), 100), weights=weights)
+
+
+def of_others(report: Report, part: str) -> Report:
+    """The same, with other weights of a part."""
+    weights = {**report.weights, part: {**report.weights[part], "sha256": "0" * 64}}
+    return dataclasses.replace(report, weights=weights)
+
+
+def test_cells_of_other_weights_than_ship_now_are_named_and_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (table,) = tables(PAPER, ["cost"])
+    (methods,) = tables(PAPER, ["methods"])
+    pixel, latent = (table.rows[name][2].evaluation for name in ("pixel", "latent"))
+    hvf = methods.rows["HVF-2"][2].evaluation
+    assert pixel is not None
+    assert latent is not None
+    assert hvf is not None
+    reports = {
+        pixel: shipped(pixel, dynamics="keypoint"),
+        latent: shipped(latent, dynamics="keypoint", cost="cvae"),
+        hvf: shipped(hvf, dynamics="keypoint", generator="cvae"),
+    }
+
+    def notes(changed: Evaluation | None, part: str) -> list[str]:
+        for evaluation, file in files([table, methods], tmp_path).items():
+            if evaluation in reports:
+                report = reports[evaluation]
+                save(of_others(report, part) if evaluation == changed else report, file)
+        before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+        words = ["paper", "maze", "--only", "cost", "methods", "--out", str(tmp_path), "--no-run"]
+        assert main(words) == 0
+        assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
+        output = capsys.readouterr().out
+        assert "| HVF-2 |  |  | 1% [0, 5] (paper 54%: lower) |" in output
+        return [line for line in output.splitlines() if line.startswith("Not of the weights")]
+
+    assert notes(None, "") == []
+    ship = "Not of the weights that ship now"
+    assert notes(hvf, "generator") == [f"{ship}: *HVF-2, hard* (cvae)."]
+    assert notes(latent, "cost") == [f"{ship}: *latent, hard* (cvae)."]
+    # A cell of two tables is named under both.
+    assert notes(pixel, "dynamics") == [
+        f"{ship}: *no subgoals, hard* (keypoint).",
+        f"{ship}: *pixel, hard* (keypoint).",
+    ]
+
+
+def test_distances_that_ship_are_compared_and_checkpoints_from_files_are_not() -> None:
+    steps = Evaluation.of("maze", segment_cost="distance", cost="temporal")
+    parts = {"cost": "temporal-distance", "segment": "temporal-distance"}
+    report = shipped(steps, dynamics="keypoint", generator="keypoint-generator", **parts)
+    assert outdated(steps, report) == []
+    assert outdated(steps, of_others(report, "cost")) == ["temporal-distance"]
+    assert outdated(steps, of_others(report, "segment")) == ["temporal-distance"]
+    assert outdated(steps, of_others(report, "generator")) == ["keypoint-generator"]
+    own = dataclasses.replace(
+        steps,
+        world=dataclasses.replace(
+            steps.world,
+            dynamics="my/model.safetensors",
+            generator="keypoint-generator",
+            segment_model="temporal-distance",
+        ),
+    )
+    assert outdated(own, of_others(report, "dynamics")) == []
+    assert outdated(own, of_others(report, "cost")) == ["temporal-distance"]
+
+
+def test_what_a_cell_is_compared_with_is_of_the_weights_that_ship_now_too() -> None:
+    (table,) = tables(Setup("maze", "default", split="validation"), ["planners"])
+    cell = table.rows["coloured noise"][0]
+    assert cell.evaluation is not None
+    assert cell.baseline is not None
+    plain = of_others(shipped(cell.baseline, dynamics="keypoint"), "dynamics")
+    reports = {cell.evaluation: shipped(cell.evaluation, dynamics="keypoint"), cell.baseline: plain}
+    (line,) = [
+        line for line in markdown([table], reports, "").splitlines() if "weights that" in line
+    ]
+    assert "*plain CEM, no subgoals* (keypoint)" in line
+    assert "*coloured noise, no subgoals* (keypoint)" in line
 
 
 def test_a_file_of_something_else_is_not_taken_for_a_cell(tmp_path: Path) -> None:
@@ -445,6 +614,12 @@ def test_a_failed_evaluation_does_not_stop_the_others(tmp_path: Path) -> None:
     assert finished(RANDOM[0], where[RANDOM[0]], 2)
 
 
+def with_tables(patch: pytest.MonkeyPatch, made: Callable[[Setup], list[PaperTable]]) -> None:
+    """The maze has these tables and no others."""
+    maze = dataclasses.replace(DOMAINS["maze"], experiments=made)
+    patch.setattr(DOMAINS, "_targets", {**DOMAINS._targets, "maze": maze})
+
+
 def test_the_command_prints_tables_although_a_cell_failed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -454,7 +629,7 @@ def test_the_command_prints_tables_although_a_cell_failed(
         rows = {"bad": (Cell(missing, 0.5),), "good": (Cell(RANDOM[0], 0.5),)}
         return [PaperTable("toy", "Toy", "which", ("success",), rows)]
 
-    monkeypatch.setattr("hvf.experiments.paper.EXPERIMENTS", {**EXPERIMENTS, "maze": toy})
+    with_tables(monkeypatch, toy)
     assert main(["paper", "maze", "--trials", "2", "--out", str(tmp_path / "out")]) == 1
     output = capsys.readouterr()
     assert "| bad | (paper 50%) |" in output.out
@@ -519,7 +694,7 @@ def test_the_tables_of_a_paper_run_from_nothing_and_go_on(tmp_path: Path) -> Non
 
     setup = Setup("maze", split="validation")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hvf.experiments.paper.EXPERIMENTS", {"maze": toy})
+        with_tables(patch, toy)
         empty, _ = paper(setup, tmp_path, run=False)
         first, failures = paper(setup, tmp_path, trials=3, workers=2)
         again, _ = paper(setup, tmp_path, run=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -226,6 +227,26 @@ def test_entry_points_of_other_packages_are_found(installed: Path) -> None:
     assert "firefly" in done.stdout
     assert "hvf train wings" in done.stdout
     assert "fireflies" in done.stdout.splitlines()[-1]
+
+
+def test_a_domain_of_another_package_brings_its_own_tables(installed: Path) -> None:
+    path = f"{installed}:{Path(firefly.__file__).parent}:{Path(hvf.__file__).parent.parent}"
+    program = (
+        "import sys\nfrom hvf.cli import main\n"
+        "if __name__ == '__main__':\n"
+        f"    out = ['--trials', '3', '--workers', '1', '--out', {str(installed / 'out')!r}]\n"
+        "    sys.exit(main(['paper', 'firefly', *out]))\n"
+    )
+    (installed / "program.py").write_text(program)
+    words = [sys.executable, str(installed / "program.py")]
+    done = processes.run(words, env={"PYTHONPATH": path}, check=True)
+    lines = done.stdout.splitlines()
+    assert lines[0] == "**Flights in the dark**"
+    (row,) = [line for line in lines if line.startswith("| random | ")]
+    assert "(n = 3) (paper 2%" in row
+    (file,) = (installed / "out").iterdir()
+    report = load(file)
+    assert (report.domain, report.preset, report.split) == ("firefly", "default", "test")
 
 
 def test_names_are_taken_once() -> None:

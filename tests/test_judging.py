@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -104,3 +105,69 @@ def test_what_an_order_compares_with_is_run_too() -> None:
     needed = set(orders.evaluations)
     for cells in orders.rows.values():
         assert {cell.baseline for cell in cells} <= needed
+
+
+def test_orders_of_methods_become_rows_when_the_models_that_they_ask_are_given() -> None:
+    file = "runs/tap/model.safetensors"
+    _, before = judged("maze")
+    (after,) = tables(Setup("maze", models=(("tap", file),)), ["orders"])
+    assert {name: after.rows[name] for name in before.rows} == before.rows
+    added = {name: cells for name, cells in after.rows.items() if name not in before.rows}
+    orders = {name: {cell.order for cell in cells} for name, cells in added.items()}
+    # In words: near HVF on easy and medium, all fail on hard, the recursive one lower everywhere.
+    assert orders == {
+        "TAP-1 than HVF-1, easy (paper: about equal)": {None},
+        "TAP-1 than HVF-1, medium (paper: about equal)": {None},
+        "TAP-1 than HVF-1, hard": {"lower"},
+        "HVF-2 than TAP-1, hard": {"higher"},
+        "HVF-2 than TAP-2, hard": {"higher"},
+        **{f"TAP-2 than TAP-1, {task}": {"lower"} for task in ("easy", "medium", "hard")},
+    }
+    for name, cells in added.items():
+        words = re.fullmatch(r"(\S+) than (\S+), (\w+).*", name)
+        assert words is not None
+        for cell in cells:
+            for label, one in zip(words.groups(), (cell.evaluation, cell.baseline), strict=False):
+                assert one is not None
+                assert (one.label, one.task) == (label, words[3])
+                assert one.world.method_model == (file if one.method == "tap" else None)
+
+
+def test_the_desk_is_ahead_of_the_papers_baselines_where_these_are_given() -> None:
+    given = (("rig", "runs/rig/model.safetensors"), ("tap", "runs/tap/model.safetensors"))
+    (with_tap,) = tables(Setup("desk", models=given[1:]), ["orders"])
+    (with_both,) = tables(Setup("desk", models=given), ["orders"])
+    _, without = judged("desk")
+    tap, rig = with_tap.rows.keys() - without.rows.keys(), with_both.rows.keys() - with_tap.rows
+    tasks = ("door", "two_block", "door_block", "door_two_block")
+    assert tap == {f"HVF-2 than TAP-1, {task}" for task in tasks}
+    assert rig == {f"HVF-2 than RIG, {task}" for task in tasks}
+    for name in tap | rig:
+        assert {cell.order for cell in with_both.rows[name]} == {"higher"}
+
+
+def test_found_subgoals_at_the_desk_stand_beside_true_ones_without_an_order_of_the_paper() -> None:
+    _, orders = judged("desk")
+    found = {name: cells for name, cells in orders.rows.items() if name.startswith("ground truth")}
+    assert list(found) == [
+        "ground truth-1 than HVF-1, two_block",
+        "ground truth-1 than HVF-1, door_block",
+        "ground truth-2 than HVF-2, door_two_block",
+    ]
+    for name, cells in found.items():
+        for cell in cells:
+            assert cell.evaluation is not None
+            assert cell.baseline is not None
+            assert f"{cell.evaluation.label} than {cell.baseline.label}" in name
+            assert cell.evaluation.task == cell.baseline.task == name.split(", ")[1]
+            assert cell.order is None
+            reports = {
+                cell.evaluation: made(cell.evaluation, range(67)),
+                cell.baseline: made(cell.baseline, range(52)),
+            }
+            (line,) = [
+                line for line in markdown([orders], reports, "").splitlines() if "+15 [" in line
+            ]
+            # How much, and no word of an order.
+            assert line.startswith(f"| {name} | ")
+            assert "p < 0.001 |" in line

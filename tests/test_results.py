@@ -93,10 +93,11 @@ def test_rows_hold_the_methods_and_columns_the_tasks(
     assert main(["results", "maze", str(tmp_path)]) == 0
     output = capsys.readouterr().out
     header, rule = output.splitlines()[:2]
-    assert cells(header)[:7] == ["settings", "world", "kind", "method", "easy", "medium", "hard"]
-    assert cells(rule)[4] == "---:"
+    # Times are of whatever else the machine did: the JSON has them, no table.
+    assert cells(header) == ["settings", "world", "kind", "method", "easy", "medium", "hard"]
+    assert cells(rule) == ["---"] * 4 + ["---:"] * 3
     # Wilson intervals in closed form: (p + z^2/2n -+ z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n).
-    none = ["no subgoals", "93% [86, 97]", "", "0% [0, 7] (n = 50)", "", "2.0"]
+    none = ["no subgoals", "93% [86, 97]", "", "0% [0, 7] (n = 50)"]
     expected = [
         ["default", "keypoint", "object", *none],
         [
@@ -108,16 +109,16 @@ def test_rows_hold_the_methods_and_columns_the_tasks(
             "",
             "100% [96, 100]",
         ],
-        ["paper", "keypoint (cvae)", "object", "HVF-1", "", "", "50% [40, 60]", "0.50", "2.0"],
-        ["", "", "", "random", "1% [0, 5]", "", "", "", "2.0"],
-        ["ICLR 2020, tables", "SV2P", "video", "no subgoals", "93%", "68%", "33%", "", ""],
-        ["ICLR 2020, tables", "SV2P", "video", "HVF-1", "", "", "47%", "", ""],
-        ["ICLR 2020, tables", "SV2P", "video", "HVF-2", "", "", "54%", "", ""],
+        ["paper", "keypoint (cvae)", "object", "HVF-1", "", "", "50% [40, 60]"],
+        ["", "", "", "random", "1% [0, 5]", "", ""],
+        ["ICLR 2020, tables", "SV2P", "video", "no subgoals", "93%", "68%", "33%"],
+        ["ICLR 2020, tables", "SV2P", "video", "HVF-1", "", "", "47%"],
+        ["ICLR 2020, tables", "SV2P", "video", "HVF-2", "", "", "54%"],
     ]
     found = rows(output)
     assert len(found) == len(expected)
     for line, row in zip(found, expected, strict=True):
-        assert line[: len(row)] == row
+        assert line == row
     assert "split test, seed 1000000007" in output
     assert "Code: 0123456789." in output
 

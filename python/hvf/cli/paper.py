@@ -10,7 +10,7 @@ from rich.console import Console
 
 from hvf.cli.arguments import domain_named, parsed
 from hvf.experiments.cells import Setup
-from hvf.experiments.paper import EXPERIMENTS, paper
+from hvf.experiments.paper import all_tables, paper
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,7 +18,8 @@ class Paper:
     """Run the evaluations behind the paper's tables, and print them with ours beside.
 
     Each cell is a JSON file; those that are finished are read, and a stopped one goes on with the
-    same command. Examples:
+    same command. A finished cell of other weights than ship now is kept, and named under its
+    table; remove its file to run it anew. Examples:
 
         hvf paper maze --only subgoals horizon
 
@@ -32,7 +33,7 @@ class Paper:
         generator: what draws subgoals; the preset's if none.
         models: name and checkpoint of models that methods and costs ask and that do not ship:
             "tap", "rig", "tdm".
-        preset: settings to begin with.
+        preset: settings to begin with; the paper's if none, where the domain has these.
         trials: episodes of each evaluation.
         split: which episodes; test is for tables that are published.
         out: folder of the JSON files; results and the domain's name if none.
@@ -45,7 +46,7 @@ class Paper:
     world: str | None = None
     generator: str | None = None
     models: dict[str, str] = dataclasses.field(default_factory=dict)
-    preset: str = "paper"
+    preset: str | None = None
     trials: int = 100
     split: str = "test"
     out: Path | None = None
@@ -61,16 +62,15 @@ def run(words: Sequence[str]) -> None:
         RuntimeError: evaluations failed; the tables are printed without them.
     """
     domain, rest = domain_named("paper", words)
-    if domain.name not in EXPERIMENTS:
-        raise ValueError(f"domain: the paper's tables are of {', '.join(EXPERIMENTS)}")
-    names = ", ".join(table.name for table in EXPERIMENTS[domain.name](Setup(domain.name)))
+    usual = "paper" if "paper" in domain.presets else "default"
+    names = ", ".join(table.name for table in all_tables(Setup(domain.name, usual)))
     config = parsed(
         Paper, f"paper {domain.name}", rest, description=f"{_about()}\n\nTables: {names}."
     )
     text, failures = paper(
         Setup(
             domain.name,
-            config.preset,
+            config.preset or usual,
             config.world,
             config.generator,
             config.split,

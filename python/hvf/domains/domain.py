@@ -105,6 +105,9 @@ class Domain:
         published_kind: how tables name the rows of these.
         collection: the config dataclass of ``hvf collect``, with ``run(console)``; None if nothing
             can be collected. ``"module:attribute"``, imported when asked for, or the class.
+        experiments: its tables for ``hvf paper``: a function from
+            :class:`~hvf.experiments.cells.Setup` to a list of
+            :class:`~hvf.experiments.cells.PaperTable`, or ``"module:attribute"``; None for none.
         groups: names of what a position probe reads, to slices of the recorded states.
         slow: whether a single trial takes so long that progress and results go by trial.
         demo: settings that ``hvf demo`` begins with.
@@ -126,6 +129,7 @@ class Domain:
     published: Published = field(default_factory=dict)
     published_kind: str = "video"
     collection: str | type[Any] | None = None
+    experiments: str | Callable[[Any], list[Any]] | None = None
     groups: Mapping[str, slice] = field(default_factory=dict)
     slow: bool = False
     demo: Mapping[str, Any] = field(default_factory=dict)

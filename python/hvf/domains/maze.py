@@ -202,5 +202,6 @@ MAZE = Domain(
         ("hvf", 2): {"hard": 0.54},
     },
     collection="hvf.domains.maze_collection:MazeCollection",
+    experiments="hvf.experiments.maze:maze",
     groups={"agent": slice(0, 2), "gaps": slice(2, None)},
 )

@@ -3,7 +3,7 @@
 Two tables of a domain's cells, none of their own: *judging* has a row for each number that the
 paper gives and a column for each way of planning (settings and models); *orders* has a row for
 each order that it gives, in numbers or in words, and says by how much ours differ on the same
-episodes.
+episodes. Orders of methods whose models do not ship become rows when these are given.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from hvf.evaluation.evaluation import Evaluation
 from hvf.experiments.cells import Cell, Order, PaperTable, Setup
-from hvf.registry import MODELS
+from hvf.registry import METHODS, MODELS
 
 
 class Way(NamedTuple):
@@ -54,7 +54,8 @@ def judging(
     """Both tables.
 
     Args:
-        setup: domain and split; its preset and models do not count.
+        setup: domain, split and models that do not ship; its preset and what it plans with do not
+            count.
         ways: columns.
         published: the domain's tables of the paper, which have the numbers.
         claims: orders.
@@ -67,6 +68,7 @@ def judging(
             for one in setups
         )
         for claim in claims
+        if all(setup.has(METHODS[one["method"]].asks) for one in (claim.one, claim.other))
     }
     return [
         PaperTable(

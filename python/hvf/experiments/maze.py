@@ -146,6 +146,33 @@ def _claims() -> list[Claim]:
         )
         for task in _BY_COST["latent"]
     ]
+    # TAP with one subgoal is about as good as HVF but on hard episodes, where both of TAP fail;
+    # with two, drawn recursively, it is lower everywhere.
+    tap = [
+        *(
+            Claim(
+                f"TAP-1 than HVF-1, {task} (paper: about equal)",
+                hard("tap", 1, task=task),
+                hard("hvf", 1, task=task),
+                None,
+            )
+            for task in ("easy", "medium")
+        ),
+        Claim("TAP-1 than HVF-1, hard", hard("tap", 1), hard("hvf", 1), "lower"),
+        *(
+            Claim(f"HVF-2 than TAP-{count}, hard", hard("hvf", 2), hard("tap", count), "higher")
+            for count in (1, 2)
+        ),
+        *(
+            Claim(
+                f"TAP-2 than TAP-1, {task}",
+                hard("tap", 2, task=task),
+                hard("tap", 1, task=task),
+                "lower",
+            )
+            for task in ("easy", "medium", "hard")
+        ),
+    ]
     return [
         *by_subgoals,
         *medium,
@@ -155,6 +182,7 @@ def _claims() -> list[Claim]:
         Claim("HVF-2 than no subgoals, H = 10", *_at(10, hard, 2), "lower"),
         Claim("no subgoals: H = 10 than 5", hard("none", 0, horizon=10), none, "higher"),
         *latent,
+        *tap,
     ]
 
 

@@ -1,8 +1,8 @@
 """``hvf paper``: the paper's tables as lists of evaluations.
 
 A domain's experiments are a function from :class:`~hvf.experiments.cells.Setup` (preset, world,
-split) to tables of :class:`~hvf.experiments.cells.Cell`, listed in :data:`EXPERIMENTS`. A cell of
-several tables is evaluated once.
+split) to tables of :class:`~hvf.experiments.cells.Cell`, which the domain names
+(:attr:`hvf.domains.domain.Domain.experiments`). A cell of several tables is evaluated once.
 
 Numbers of the paper (Nair & Finn, ICLR 2020) are success rates over 100 trials. A *verdict* says
 how ours compares: ``higher`` or ``lower`` if the 95% interval of the difference of the two rates
@@ -23,10 +23,11 @@ from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report
 from hvf.evaluation.statistics import difference_interval
 from hvf.experiments.cells import Cell, Order, PaperTable, Setup
-from hvf.experiments.desk import desk
-from hvf.experiments.maze import maze
+from hvf.experiments.notes import notes, outdated, planned_with
 from hvf.experiments.parallel import Failure, report_of, run_all
-from hvf.experiments.tables import compared, difference, line, notes, rate
+from hvf.experiments.tables import compared, difference, line, rate
+from hvf.importing import imported
+from hvf.registry import DOMAINS
 
 PUBLISHED_TRIALS = 100
 """Trials behind each number of the paper."""
@@ -38,32 +39,44 @@ LEGEND = (
 )
 
 PAIRED = (
-    "Success with its 95% Wilson interval; behind it the points more than the first row's, on the "
-    "same episodes, with their 95% interval for paired data (Newcombe, 1998, method 10) and "
-    "McNemar's exact p, which is not corrected for the number of comparisons."
+    "Success with its 95% Wilson interval; behind it, where both are there, the points more than "
+    "the row that is named under the table, on the same episodes, with their 95% interval for "
+    "paired data (Newcombe, 1998, method 10) and McNemar's exact p, which is not corrected for the "
+    "number of comparisons."
 )
 
 ORDERS = (
     "Success of the first with its 95% Wilson interval; behind it the points more than the second, "
     "on the same episodes, with their 95% interval for paired data (Newcombe, 1998, method 10) and "
-    "McNemar's exact p, which is not corrected for the number of comparisons; and whether that is "
-    "the paper's order (the interval is on that side of 0), the reverse, or neither is shown."
+    "McNemar's exact p, which is not corrected for the number of comparisons; and, where the paper "
+    "has an order, whether ours is that (the interval is on that side of 0), the reverse, or "
+    "neither is shown."
 )
 
-EXPERIMENTS: Mapping[str, Callable[[Setup], list[PaperTable]]] = {"desk": desk, "maze": maze}
-"""Domain to its tables."""
+
+def all_tables(setup: Setup) -> list[PaperTable]:
+    """All tables of a domain, also those that are made only when they are named.
+
+    Raises:
+        ValueError: a domain that there is not, or that has no tables; settings out of range.
+        ImportError: they are somebody's, and cannot be imported.
+    """
+    target = DOMAINS[setup.domain].experiments
+    if target is None:
+        raise ValueError(f"domain: {setup.domain} has no tables of experiments")
+    experiments: Callable[[Setup], list[PaperTable]] = (
+        imported(target) if isinstance(target, str) else target
+    )
+    return experiments(setup)
 
 
 def tables(setup: Setup, only: Sequence[str] = ()) -> list[PaperTable]:
     """The tables of a domain, or some of them.
 
     Raises:
-        ValueError: a domain or table that there is not, or settings out of range.
+        ValueError: a table that there is not; ImportError: as :func:`all_tables`.
     """
-    if setup.domain not in EXPERIMENTS:
-        known = ", ".join(EXPERIMENTS)
-        raise ValueError(f"domain: the paper's tables are of {known}; got {setup.domain!r}")
-    found = {table.name: table for table in EXPERIMENTS[setup.domain](setup)}
+    found = {table.name: table for table in all_tables(setup)}
     for name in only:
         if name not in found:
             raise ValueError(f"only: must be of {', '.join(found)}; got {name!r}")
@@ -143,6 +156,7 @@ def markdown(
     """
     lines = []
     for table in chosen:
+        there = [reports[each] for each in table.evaluations if each in reports]
         lines += [
             f"**{table.title}**",
             "",
@@ -153,6 +167,9 @@ def markdown(
                 for name, cells in table.rows.items()
             ),
             "",
+            *_paragraph(_pairs(table)),
+            *_paragraph(planned_with(there)),
+            *_paragraph(_outdated(table, reports)),
             f"`hvf paper {options} --only {table.name}`",
             "",
         ]
@@ -192,12 +209,58 @@ def order_verdict(report: Report, baseline: Report, order: Order) -> str:
     return "the paper's order" if low > 0 else "reversed" if high < 0 else "not shown"
 
 
+def _paragraph(words: str) -> list[str]:
+    """Lines of a paragraph; none if there is nothing to say."""
+    return [words, ""] if words else []
+
+
 def _legend(table: PaperTable) -> str:
     """How to read its cells."""
     cells = [cell for row in table.rows.values() for cell in row]
     if any(cell.order for cell in cells):
         return ORDERS
     return PAIRED if any(cell.baseline for cell in cells) else LEGEND
+
+
+def _pairs(table: PaperTable) -> str:
+    """Which rows are compared with which; empty if none are, or if rows say it themselves."""
+    if _legend(table) != PAIRED:
+        return ""
+    named = {
+        (place, cell.evaluation): name
+        for name, cells in table.rows.items()
+        for place, cell in enumerate(cells)
+    }
+    found = list(
+        dict.fromkeys(
+            (name, named.get((place, cell.baseline), cell.baseline.name))
+            for name, cells in table.rows.items()
+            for place, cell in enumerate(cells)
+            if cell.baseline is not None
+        )
+    )
+    others = {other for _, other in found}
+    if len(others) == 1:
+        return f"Points are more than *{others.pop()}*."
+    pairs = (f"*{name}* more than *{other}*" for name, other in found)
+    return f"Points are of {'; '.join(pairs)}."
+
+
+def _outdated(table: PaperTable, reports: Mapping[Evaluation, Report]) -> str:
+    """Which cells are of weights that have changed since; empty if none are."""
+    found: dict[str, list[str]] = {}
+    for name, cells in table.rows.items():
+        for column, cell in zip(table.columns, cells, strict=True):
+            words = f"{name}, {column}" if len(table.columns) > 1 else name
+            for each in (cell.evaluation, cell.baseline):
+                if each is not None and each in reports:
+                    found.setdefault(words, []).extend(outdated(each, reports[each]))
+    cells_of = [
+        f"*{words}* ({', '.join(dict.fromkeys(models))})"
+        for words, models in found.items()
+        if models
+    ]
+    return f"Not of the weights that ship now: {'; '.join(cells_of)}." if cells_of else ""
 
 
 def _words(cell: Cell, reports: Mapping[Evaluation, Report]) -> str:

@@ -2,6 +2,9 @@
 
 Rows are methods with their settings, columns are tasks. Everything stands in the reports and in
 the light :class:`~hvf.domains.domain.Domain`, so neither torch nor a simulator is imported.
+
+Times stand in the JSON only: evaluations run side by side on machines that do other things, so
+those of two rows do not compare. Speed is what ``benchmarks/`` measures.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from typing import Any
 from hvf.domains.domain import Domain
 from hvf.evaluation.report import Report, load
 from hvf.evaluation.statistics import Paired, paired
+from hvf.experiments.notes import notes
 from hvf.registry import METHODS
 
 BASELINE = "none"
@@ -120,30 +124,20 @@ def line(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def made_by(reports: Iterable[Report]) -> str:
-    """The code that made reports, in a sentence."""
-    commits = set()
-    for report in reports:
-        commit = report.code.get("commit")
-        words = str(commit)[:10] if commit else f"version {report.code.get('version')}"
-        commits.add(words + (" with changes" if report.code.get("changes") and commit else ""))
-    return f"Code: {', '.join(sorted(commits))}."
-
-
 def _rates(
     rows: Mapping[Row, Mapping[str, Report]], domain: Domain, tasks: Sequence[str]
 ) -> list[str]:
     """The table of success rates, published ones last."""
-    header = ["settings", "world", "kind", "method", *tasks, "s/search", "ms/step"]
-    lines = [line(header), f"|{'---|' * 4}{'---:|' * (len(tasks) + 2)}"]
+    header = ["settings", "world", "kind", "method", *tasks]
+    lines = [line(header), f"|{'---|' * 4}{'---:|' * len(tasks)}"]
     for row in sorted(rows, key=_order):
         cells = rows[row]
         rates = [rate(cells[task]) if task in cells else "" for task in tasks]
-        lines.append(line([*row.words, *rates, *_seconds(cells.values())]))
+        lines.append(line([*row.words, *rates]))
     for (method, subgoals), published in domain.published.items():
         row = Row("ICLR 2020, tables", "SV2P", domain.published_kind, method, subgoals)
         rates = [f"{published[task]:.0%}" if task in published else "" for task in tasks]
-        lines.append(line([*row.words, *rates, "", ""]))
+        lines.append(line([*row.words, *rates]))
     return lines
 
 
@@ -291,35 +285,6 @@ def _order(row: Row) -> tuple[bool, str, str, int, int]:
     planless = not METHODS[row.method].needs_dynamics
     dynamics, method = row.world.split(" (")[0], list(METHODS).index(row.method)
     return planless, row.settings, dynamics, method, row.subgoals
-
-
-def _seconds(reports: Iterable[Report]) -> tuple[str, str]:
-    """Mean seconds per search and milliseconds per step over all trials of a row."""
-    first, *others = reports
-    trials = first.trials + tuple(trial for report in others for trial in report.trials)
-    pooled = dataclasses.replace(first, trials=trials)
-    search = f"{pooled.search_seconds:.2f}" if pooled.search_seconds > 1e-3 else ""
-    return search, f"{1e3 * pooled.step_seconds:.1f}"
-
-
-def notes(reports: Iterable[Report]) -> list[str]:
-    """What a reader has to know: episodes, the code that made the rows, weights that differ."""
-    reports = list(reports)
-    episodes = f"split {reports[0].split}, " if reports[0].split else ""
-    notes = [
-        f"Episodes: {episodes}seed {reports[0].seed}; 100 where no n is given.",
-        made_by(reports),
-    ]
-    weights: dict[tuple[str, str], set[str]] = {}
-    for report in reports:
-        for role, weight in report.weights.items():
-            # A checkpoint of one's own is named in its row.
-            shown = str(report.world.get(role) or weight["model"])
-            weights.setdefault((role, shown), set()).add(weight["sha256"])
-    mixed = sorted({shown for (_, shown), sums in weights.items() if len(sums) > 1})
-    if mixed:
-        notes.append(f"Not all rows are of the same weights: {', '.join(mixed)} differ.")
-    return notes
 
 
 def _successes(report: Report) -> dict[int, bool]:

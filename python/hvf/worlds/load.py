@@ -119,8 +119,7 @@ def load(
     if cost.world is not None:
         # Of the model and not of its name, which may be a file.
         learned = weights["dynamics"].model if "dynamics" in weights else ""
-        natural = domain.distances.get(learned) if cost.in_steps else cost.model
-        asked = world.cost_model or natural
+        asked = cost_model(domain, world, learned)
         model = module("cost", asked) if asked else None
         planned = cost.world(dynamics, model, planning)
     drawn: SubgoalModel[Any] | None = None
@@ -133,6 +132,18 @@ def load(
         model = module("segment", segment_model(domain, world))
         drawn = _judge(weights["segment"])(model, drawn)
     return Loaded(planned, drawn, weights)
+
+
+def cost_model(domain: Domain, world: World, dynamics: str) -> str | None:
+    """The model that a cost asks: the one that is named, or else what goes with it; None for none.
+
+    Args:
+        domain: whose names count.
+        world: names the cost, and may name the model.
+        dynamics: the kind of model that the dynamics are, whatever their name; empty for none.
+    """
+    cost = COSTS[world.cost]
+    return world.cost_model or (domain.distances.get(dynamics) if cost.in_steps else cost.model)
 
 
 def segment_model(domain: Domain, world: World) -> str:

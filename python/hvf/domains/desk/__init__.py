@@ -126,6 +126,7 @@ DESK = Domain(
     distances={"layers": "layers-distance"},
     privileged=("simulator",),
     collection="hvf.domains.desk.collection:DeskCollection",
+    experiments="hvf.experiments.desk:desk",
     # "About 15%", "about 15%" and "over 42%" in the text; all else is a bar chart.
     published={
         ("none", 0): {"door_two_block": 0.15},
