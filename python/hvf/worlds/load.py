@@ -117,9 +117,7 @@ def load(
     cost = COSTS[world.cost]
     planned: WorldModel[Any] = dynamics
     if cost.world is not None:
-        # Of the model and not of its name, which may be a file.
-        learned = weights["dynamics"].model if "dynamics" in weights else ""
-        natural = domain.distances.get(learned) if cost.in_steps else cost.model
+        natural = _distance_for(domain, world.dynamics) if cost.in_steps else cost.model
         asked = world.cost_model or natural
         model = module("cost", asked) if asked else None
         planned = cost.world(dynamics, model, planning)
@@ -142,12 +140,17 @@ def segment_model(domain: Domain, world: World) -> str:
         ValueError: none is named, and none goes with the dynamics.
     """
     dynamics = domain.resolved(world).dynamics
-    asked = world.segment_model or domain.distances.get(dynamics)
+    asked = world.segment_model or _distance_for(domain, dynamics)
     if asked is None:
         raise ValueError(
             f"segment_model: name one for the segment cost 'distance'; none goes with {dynamics}"
         )
     return asked
+
+
+def _distance_for(domain: Domain, dynamics: str) -> str | None:
+    """The distance in steps that goes with dynamics: with their model, which may be in a file."""
+    return domain.distances.get(dynamics) or domain.distances.get(domain.model_of(dynamics))
 
 
 def load_asked(domain: Domain, world: World, name: str) -> tuple[Weights, Any]:
