@@ -116,9 +116,11 @@ def load(
         dynamics = _plannable(weights["dynamics"])(model, planning)
     cost = COSTS[world.cost]
     planned: WorldModel[Any] = dynamics
-    if cost.world is not None:
-        natural = _distance_for(domain, world.dynamics) if cost.in_steps else cost.model
-        asked = world.cost_model or natural
+    if cost.in_steps:
+        model = module("cost", _cost_model(domain, world))
+        planned = _in_steps(weights["cost"], world.cost)(model, dynamics, planning)
+    elif cost.world is not None:
+        asked = world.cost_model or cost.model
         model = module("cost", asked) if asked else None
         planned = cost.world(dynamics, model, planning)
     drawn: SubgoalModel[Any] | None = None
@@ -144,6 +146,16 @@ def segment_model(domain: Domain, world: World) -> str:
     if asked is None:
         raise ValueError(
             f"segment_model: name one for the segment cost 'distance'; none goes with {dynamics}"
+        )
+    return asked
+
+
+def _cost_model(domain: Domain, world: World) -> str:
+    """The distance that a cost in steps is."""
+    asked = world.cost_model or _distance_for(domain, world.dynamics)
+    if asked is None:
+        raise ValueError(
+            f"cost_model: name one for the cost {world.cost!r}; none goes with {world.dynamics}"
         )
     return asked
 
@@ -232,6 +244,15 @@ def _read(part: str, path: Path, roles: tuple[Role, ...]) -> tuple[Weights, Any]
 
 def _plannable(weights: Weights) -> Any:
     return MODELS[weights.model].resolved("plannable")
+
+
+def _in_steps(weights: Weights, cost: str) -> Any:
+    if not MODELS[weights.model].in_steps:
+        raise ValueError(
+            f"cost_model: {cost!r} needs a distance in steps; {weights.path} holds a "
+            f"{weights.model} model"
+        )
+    return _plannable(weights)
 
 
 def _judge(weights: Weights) -> Any:
