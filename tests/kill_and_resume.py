@@ -63,8 +63,8 @@ JOBS: Mapping[str, Job] = {
         result="*.safetensors",
     ),
     "eval": Job(
-        "eval maze --task hard --method none --dynamics simulator --trials 16 --chunk 1"
-        " --out {out}/report.json",
+        "eval maze --task hard --method hvf --dynamics simulator --trials 16 --samples 30"
+        " --elites 6 --subgoal-samples 20 --subgoal-elites 5 --out {out}/report.json",
         saves="report.json",
         unit=1,
         result="report.json",

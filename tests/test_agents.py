@@ -23,7 +23,7 @@ from hvf.evaluation.recording import Recorder
 from hvf.protocols import Decision, Measuring, Remembering, SubgoalSourceAnew
 from hvf.registry import METHODS
 from hvf.settings import Acting, Planning, Replanning
-from line import Line, Road, images, places
+from line import GOAL, Line, Road, images, places
 
 CHEAP = {
     "samples": 30,
@@ -471,6 +471,98 @@ def test_a_world_with_context_remembers_in_steps_without_a_new_plan() -> None:
     # Trials of another chunk have another past.
     act(Scripted([5]), agent, Acting(steps=1), [0])
     assert world.given[-1] == ([[5, 5, 5]], [[0.0, 0.0]])
+
+
+class Coasting:
+    """Goes on as fast as it was: frames are place and speed, float32 ``[N, 2]``."""
+
+    action_low, action_high = Road.action_low, Road.action_high
+    context = 2
+
+    def observe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        here = places(images).astype(np.float32)
+        return np.stack([here, np.zeros_like(here)], axis=1)
+
+    def observe_history(
+        self, images: NDArray[np.uint8], actions: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        assert actions.shape == (len(images), 1, 1)
+        seen = places(images).astype(np.float32)
+        return np.stack([seen[:, 1], seen[:, 1] - seen[:, 0]], axis=1)
+
+    def rollout_costs(
+        self, starts: NDArray[Any], goals: NDArray[Any], actions: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        own = (starts[:, 0] + starts[:, 1] * actions.shape[2])[:, None]
+        return np.asarray((own + actions[..., 0].sum(axis=2) - goals[:, :1]) ** 2)
+
+    def images(self, frames: NDArray[np.float32]) -> NDArray[np.uint8]:
+        return images(frames[:, 0].round())
+
+
+class Ahead:
+    """Draws subgoals ahead of its scene; keeps the scenes that it was asked for."""
+
+    latent_dim = 1
+
+    def __init__(self) -> None:
+        self.scenes: list[Any] = []
+
+    def decode(self, scene: Any, latents: NDArray[np.float32]) -> Any:
+        if not self.scenes or not np.array_equal(self.scenes[-1], scene):
+            self.scenes.append(scene)
+        far = np.abs(latents).reshape(-1, 1).round()
+        return np.concatenate([scene[:, :1] + far, np.zeros_like(far)], axis=1).astype(np.float32)
+
+
+def small_search(count: int) -> hvf_core.HVF:
+    return hvf_core.HVF(mpc=MPC, subgoals=count, samples=8, elites=3, iterations=2)
+
+
+def test_a_search_in_a_world_with_context_starts_from_what_was_seen_and_done() -> None:
+    world, generator, later = Coasting(), Ahead(), []
+
+    class Keeping(Searched):
+        def anew(self, *arguments: Any) -> Any:
+            later.append(super().anew(*arguments))
+            return later[-1]
+
+    agent = PlanningAgent(world, MPC, Keeping(small_search, 2, world, generator))
+    rule = Acting(steps=4, steps_per_subgoal=2, threshold=0.0, choose_anew=True)
+    outcome = act(Scripted([0, 3]), agent, rule, [5, 6])
+    # At the start nothing moved; on the way, everything goes 1 a step.
+    scenes = np.concatenate(generator.scenes)
+    np.testing.assert_array_equal(scenes, [[0, 0], [3, 0], [2, 1], [5, 1]])
+    for trial, (place, seed) in enumerate([(0, 5), (3, 6)]):
+        now, goal = np.array([[place, 0.0]], np.float32), world.observe(images([GOAL]))
+        found = small_search(2).search(world, Ahead(), now, goal, derived_seed(seed, 0))
+        np.testing.assert_array_equal(outcome.subgoals[trial], found.subgoals)
+        # What it aims at after its first subgoal is what a search from there finds.
+        now = np.array([[place + 2, 1.0]], np.float32)
+        found = small_search(1).search(world, Ahead(), now, goal, derived_seed(seed, 0, 2))
+        np.testing.assert_array_equal(later[trial], found.subgoals)
+
+
+def test_a_search_asks_a_world_with_context_alone_what_its_frames_are() -> None:
+    # It has no `observe`: what it makes of a history is all that it can start from.
+    class Near:
+        latent_dim = 1
+
+        def decode(self, scene: Any, latents: NDArray[np.float32]) -> NDArray[np.uint8]:
+            return images(places(scene)[0] + np.abs(latents).reshape(-1).round().astype(int))
+
+    world = Retrospect()
+    agent = PlanningAgent(world, MPC, Searched(small_search, 1, world, Near()))
+    agent.begin(Scripted([2, 7]))
+    agent.choose(0, 0)
+    assert world.given == [([[2, 2, 2], [7, 7, 7]], [[0.0, 0.0], [0.0, 0.0]])]
+    which, aims = np.arange(2), np.zeros(2, np.int64)
+    agent.choose(1, 0)
+    agent.act(which, images([2, 7]), aims, [0, 1])
+    agent.acted(which, np.array([[0.5], [1.5]], np.float32))
+    world.given.clear()
+    agent.choose_anew(1, 0, 1)
+    assert world.given == [([[7, 7, 7]], [[0.0, 1.5]])]
 
 
 # ---- worlds whose frames are no images ---------------------------------------------------------

@@ -295,6 +295,28 @@ def test_plan_and_demo_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "HVF-2" in capsys.readouterr().out
 
 
+def test_what_differs_is_drawn_in_folders_that_differ(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    quick = ["--method=none", "--dynamics=simulator", *CHEAP]
+    for verb in (["plan"], ["demo", "--episodes=1", "--pictures=1"]):
+        for words in ([], ["--blur=1"], ["--difficulty=easy"]):
+            assert status([verb[0], "maze", *verb[1:], *quick, *words]) == 0
+        folders = {folder.name for folder in (tmp_path / "outputs" / verb[0]).iterdir()}
+        common = "simulator-samples-30-elites-6-iterations-2"
+        assert folders == {
+            f"maze-hard-no-subgoals-default-dynamics-{common}-steps-4",
+            f"maze-hard-no-subgoals-default-dynamics-{common}-blur-1.0-steps-4",
+            f"maze-easy-no-subgoals-default-dynamics-{common}-steps-4",
+        }
+        files = {"plan": {"episode-0.png", "episode-0.gif"}}
+        files["demo"] = files["plan"] | {"none.json"}
+        for folder in folders:
+            written = (tmp_path / "outputs" / verb[0] / folder).iterdir()
+            assert {path.name for path in written} == files[verb[0]]
+
+
 def scene(path: Path, index: int = 0) -> tuple[Path, Path]:
     """Start and goal of an episode as files."""
     states, targets = hvf_core.maze_episodes(0, index, 1, "hard")

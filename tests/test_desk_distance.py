@@ -34,7 +34,7 @@ from hvf.training.tracks.transplants import Transplants
 from hvf.worlds.layers import LayerWorld
 from hvf.worlds.layers_meanings import meanings
 from hvf.worlds.layers_subgoals import StateSubgoals
-from hvf.worlds.steps import LayerStepsWorld, judged, steps_world
+from hvf.worlds.steps import LayerStepsWorld, layer_segments, layer_steps
 from hvf_core import HVF, VisualMPC
 from layered_desk import SIZE, random_dynamics, random_states
 
@@ -315,7 +315,7 @@ def world_and_frames(hold: int = 1) -> tuple[LayerWorld, Any]:
 def test_as_a_planning_cost_it_is_asked_of_predicted_states(over: OverHorizon, hold: int) -> None:
     world, frames = world_and_frames(hold)
     model = network(5, SIZE)
-    planned = steps_world(world, model, Planning(over_horizon=over))
+    planned = layer_steps(model, world, Planning(over_horizon=over))
     assert isinstance(planned, LayerStepsWorld)
     starts, goals = frames[np.array([0, 1])], frames[np.array([2, 3])]
     actions = np.random.default_rng(0).uniform(-1, 1, (2, 5, 4, 3)).astype(np.float32)
@@ -343,7 +343,7 @@ def test_segments_cost_what_it_says_of_their_ends() -> None:
     drawn_by = LayerGenerator(LayerGeneratorConfig(image_size=SIZE, latent_dim=LATENT, hidden=16))
     plain = StateSubgoals(drawn_by, world)
     model = network(5, SIZE)
-    subgoals = judged(model, plain)
+    subgoals = layer_segments(model, plain)
     assert isinstance(subgoals, Judging)
     start, goal = frames[[0]], frames[[1]]
     latents = np.random.default_rng(2).normal(size=(6, 2, LATENT)).astype(np.float32)
@@ -373,14 +373,14 @@ def test_what_it_is_not_for_is_refused() -> None:
     world, _ = world_and_frames()
     other = LayerDistance(LayerDistanceConfig(image_size=SIZE, roaming=4))
     with pytest.raises(ValueError, match="distance: of states of length 17, the world's: 14"):
-        steps_world(world, other, Planning())
+        layer_steps(other, world, Planning())
     with pytest.raises(ValueError, match="cost: 'temporal' needs layers dynamics, got object"):
-        steps_world(object(), network(0), Planning())
+        layer_steps(network(0), object(), Planning())
     drawn_by = LayerGenerator(LayerGeneratorConfig(image_size=SIZE))
     with pytest.raises(ValueError, match="distance: of states of length 17, the world's: 14"):
-        judged(other, StateSubgoals(drawn_by, world))
+        layer_segments(other, StateSubgoals(drawn_by, world))
     with pytest.raises(ValueError, match="segment_model: layers-distance is for layers-generator"):
-        judged(network(0), object())
+        layer_segments(network(0), object())
 
 
 def test_an_evaluation_names_the_distance_only_where_segments_cost_it() -> None:

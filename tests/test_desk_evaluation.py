@@ -414,6 +414,8 @@ def test_slow_trials_are_saved_a_few_at_a_time(pool: DeskPool) -> None:
 
     assert chunk(method="random") == 5
     assert chunk(preset="simulator") == 2
+    assert chunk(method="none") == 5
+    assert chunk(method="hvf") == 1
 
 
 def test_a_desk_of_ones_own_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:

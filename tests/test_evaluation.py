@@ -440,6 +440,46 @@ def test_the_size_of_chunks_does_not_change_the_result() -> None:
     assert outcomes[0] == outcomes[1]
 
 
+@pytest.mark.parametrize(
+    ("settings", "at_once"),
+    [
+        ({"method": "none"}, 25),
+        ({"method": "none", "dynamics": "keypoint"}, 25),
+        ({"method": "hvf", "subgoals": 0}, 25),
+        ({"method": "ground-truth", "dynamics": "latent"}, 25),
+        ({"method": "random"}, 25),
+        # A search takes as long as an episode; so do plans that ask a network for costs.
+        ({"method": "hvf"}, 1),
+        ({"method": "hvf", "dynamics": "latent"}, 1),
+        ({"method": "none", "dynamics": "keypoint", "cost": "temporal"}, 1),
+        ({"method": "none", "dynamics": "keypoint", "cost": "latent"}, 1),
+    ],
+)
+def test_a_stop_loses_one_episode_where_an_episode_takes_long(
+    settings: dict[str, Any], at_once: int
+) -> None:
+    if {"keypoint", "latent"} & set(settings.values()):
+        pytest.importorskip("torch")
+    task = cheap(**settings)
+    assert task.chunk == at_once
+
+
+def test_a_search_is_saved_before_the_next_one_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, ran = tmp_path / "report.json", Task.run
+
+    def stopped(task: Task, first: int, count: int, watchers: Sequence[Watcher] = ()) -> Outcome:
+        if first == 2:
+            raise KeyboardInterrupt
+        return ran(task, first, count, watchers)
+
+    monkeypatch.setattr(Task, "run", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_task(cheap(method="hvf", steps=2), 4, out, console=QUIET)
+    assert [trial.index for trial in load(out).trials] == [0, 1]
+
+
 def test_a_report_says_all_that_a_result_depends_on(tmp_path: Path) -> None:
     pytest.importorskip("torch")
     evaluation = Evaluation.of(

@@ -249,6 +249,59 @@ def test_a_domain_of_another_package_brings_its_own_tables(installed: Path) -> N
     assert (report.domain, report.preset, report.split) == ("firefly", "default", "test")
 
 
+BROKEN = """
+[hvf.domains]
+lost-place = plugs.nowhere:PLACE
+[hvf.models]
+lost-model = plugs.nowhere:MODEL
+[hvf.methods]
+lost-method = plugs.nowhere:METHOD
+hasty = hasty:METHOD
+[hvf.costs]
+lost-cost = plugs.nowhere:COST
+"""
+
+
+def test_a_plugin_that_cannot_be_imported_is_named_and_spoils_no_other(tmp_path: Path) -> None:
+    info = tmp_path / "plugs-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: plugs\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(BROKEN)
+    (tmp_path / "hasty.py").write_text("raise RuntimeError('no licence [red]')\n")
+    path = f"{tmp_path}:{Path(hvf.__file__).parent.parent}"
+
+    def run(words: str) -> tuple[int, str, str]:
+        command = [*processes.HVF, *words.split()]
+        done = processes.run(command, env={"PYTHONPATH": path, "COLUMNS": "200"})
+        return done.returncode, done.stdout, done.stderr
+
+    gone = "(plugs.nowhere:{}): No module named 'plugs'"
+    for words, known, lost in (
+        ("eval --help", "the Franka", f"cannot be imported: domain 'lost-place' {gone}"),
+        ("train --help", "SV2P", f"cannot be imported: model 'lost-model' {gone}"),
+        ("eval maze --help", "method none:", f"cannot be imported: method 'lost-method' {gone}"),
+        ("eval maze --help", "cost pixel:", f"cannot be imported: cost 'lost-cost' {gone}"),
+    ):
+        status, said, _ = run(words)
+        assert status == 0
+        assert known.split()[0] in said
+        attribute = re.findall(r"'lost-(\w+)'", lost)[0].upper()
+        assert lost.format(attribute) in re.sub(r"[\s│]+", " ", said)
+    assert "method 'hasty' (hasty:METHOD): no licence [red]" in re.sub(
+        r"[\s│]+", " ", run("eval maze --help")[1]
+    )
+    for words, said in (
+        ("eval lost-place", f"hvf eval: domain 'lost-place' {gone.format('PLACE')}"),
+        ("train lost-model", f"hvf train: model 'lost-model' {gone.format('MODEL')}"),
+        ("eval maze --method lost-method", f"method 'lost-method' {gone.format('METHOD')}"),
+        ("eval maze --method hasty", "hvf eval: method 'hasty' (hasty:METHOD): no licence [red]"),
+    ):
+        status, _, errors = run(words)
+        assert status == 1
+        (line,) = errors.strip().splitlines()
+        assert said in line
+
+
 def test_names_are_taken_once() -> None:
     registry: Registry[int] = Registry("number", "hvf.none", {"one": "math:pi"})
     registry.register("two", 2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,12 +18,13 @@ from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
 from hvf.domains.maze_collection import MazeCollection
 from hvf.protocols import Judging
-from hvf.registry import DOMAINS
+from hvf.registry import DOMAINS, MODELS
 from hvf.settings import Planning, World
 
 torch = pytest.importorskip("torch")
 
-from hvf.models.checkpoint import load_any  # noqa: E402
+from hvf.models.checkpoint import load_any, save_model  # noqa: E402
+from hvf.models.entry import ModelEntry  # noqa: E402
 from hvf.models.frames import to_unit  # noqa: E402
 from hvf.models.keypoint.dynamics import DynamicsConfig, KeypointDynamics  # noqa: E402
 from hvf.models.keypoint.generator import GeneratorConfig, KeypointGenerator  # noqa: E402
@@ -37,7 +39,7 @@ from hvf.training.tracks.keypoints import Transitions, TransitionSampler  # noqa
 from hvf.worlds.distances import ImageDistanceWorld, LatentDistance  # noqa: E402
 from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld  # noqa: E402
 from hvf.worlds.load import load  # noqa: E402
-from hvf.worlds.steps import KeypointStepsWorld, judged, steps_world  # noqa: E402
+from hvf.worlds.steps import KeypointStepsWorld, keypoint_segments, keypoint_steps  # noqa: E402
 
 QUIET = Console(quiet=True)
 SHORT = LoopConfig(
@@ -80,7 +82,8 @@ def test_trained_models_plan_with_every_cost(runs: Path) -> None:
         world = made["dynamics"](models["dynamics"].module, planning)
         generator = made["generator"](models["generator"].module, world)
         for cost in ("pixel", "temporal"):
-            costly = world if cost == "pixel" else made["steps"](models["steps"].module, world)
+            steps = models["steps"].module
+            costly = world if cost == "pixel" else made["steps"](steps, world, planning)
             found = search.search(costly, generator, images[0], images[1], seed=1)
             assert np.isfinite(found.cost)
 
@@ -307,7 +310,7 @@ def test_segments_judged_by_keypoints_cost_what_the_model_says_of_their_ends() -
     frames = world.observe(hvf_core.maze_collect(5, 0, 2, 1)[0][:, 0])
     start, goal = frames[np.array([0])], frames[np.array([1])]
     latents = np.random.default_rng(0).normal(size=(4, 2, subgoals.latent_dim)).astype(np.float32)
-    judging = judged(model, subgoals)
+    judging = keypoint_segments(model, subgoals)
     assert isinstance(judging, Judging)
     found = judging.segment_costs(start, goal, latents)
     assert found.shape == (4, 3)
@@ -330,15 +333,41 @@ def test_a_checkpoint_of_ones_own_is_measured_by_the_distance_of_its_kind() -> N
         loaded = load(domain, own, Planning(), place, generator=False)
         assert isinstance(loaded.world, KeypointStepsWorld)
         assert loaded.weights["cost"].model == "temporal-distance"
-        with pytest.raises(ValueError, match="'temporal' needs keypoint or layers dynamics, or"):
+        with pytest.raises(ValueError, match="cost_model: name one for the cost 'temporal'; none"):
             load(domain, World("latent", cost="temporal"), Planning(), place, generator=False)
+        # A VAE measures images, and is no distance in steps.
+        images = World("keypoint", cost="temporal", cost_model="cvae")
+        with pytest.raises(ValueError, match=r"'temporal' needs a distance in steps; .* a cvae"):
+            load(domain, images, Planning(), place, generator=False)
+
+
+def test_a_distance_of_another_package_makes_its_own_world(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Halved(TemporalDistance):
+        pass
+
+    asked = []
+
+    def halved(model: Any, world: Any, planning: Planning) -> Any:
+        asked.append((type(model), type(world), planning.over_horizon))
+        return world
+
+    monkeypatch.setattr(MODELS, "_targets", dict(MODELS._targets))
+    own = ModelEntry("halves", "object", "distance", Halved, halved, in_steps=True)
+    MODELS.register("halved", own)
+    save_model(tmp_path / "halved", Halved(TemporalDistanceConfig()), environment="maze")
+    world = World("keypoint", cost="temporal", cost_model=str(tmp_path / "halved"))
+    with DOMAINS["maze"].open(1) as place:
+        planning = Planning(over_horizon="sum")
+        loaded = load(DOMAINS["maze"], world, planning, place, generator=False)
+    assert asked == [(Halved, KeypointWorld, "sum")]
+    assert loaded.weights["cost"].model == "halved"
 
 
 def test_distances_in_steps_refuse_what_they_are_not_for() -> None:
     model, planning = TemporalDistance(TemporalDistanceConfig()), Planning()
     with pytest.raises(ValueError, match="'temporal' needs keypoint dynamics, got object"):
-        steps_world(object(), model, planning)
-    with pytest.raises(ValueError, match="needs a temporal-distance or layers-distance model"):
-        steps_world(object(), object(), planning)
+        keypoint_steps(model, object(), planning)
     with pytest.raises(ValueError, match="segment_model: temporal-distance is for keypoint-gener"):
-        judged(model, object())
+        keypoint_segments(model, object())

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 import firefly
+from blind import Blind
 from hvf.cli import main
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
@@ -540,18 +541,10 @@ def test_the_method_reads_images_only_and_acts_the_same_alone(trained: Path) -> 
     assert together.world == {"method": settings["method_model"]}
     assert together.weights["method"]["model"] == "rig"
     with Task.open(evaluation) as task:
-        inside = task.trials(0, 2)
-
-        class Blind:
-            def __len__(self) -> int:
-                return len(inside)
-
-            def __getattr__(self, name: str) -> Any:
-                assert name in ("goals", "observe", "step", "success"), f"read {name}"
-                return getattr(inside, name)
-
-        task.trials = lambda first, count: Blind()  # type: ignore[method-assign]
+        seen = Blind(task.trials(0, 2))
+        task.trials = lambda first, count: seen  # type: ignore[method-assign]
         assert len(task.run(0, 2).trials) == 2
+    assert seen.refused == []
 
 
 def test_the_policy_takes_images_of_its_size_only() -> None:

@@ -15,13 +15,11 @@ from hypothesis import given, settings
 from numpy.typing import NDArray
 from rich.console import Console
 
-from hvf.agents.subgoals import proposed
 from hvf.cli import main
 from hvf.data.episodes import Episodes, Metadata
 from hvf.data.formats.hdf5 import write_episodes
 from hvf.data.loader import EpisodePool
 from hvf.data.temporal import BetweenSampler
-from hvf.domains.maze import MazeTrials
 from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.run import evaluate
 from hvf.evaluation.task import Task
@@ -291,33 +289,6 @@ def test_several_subgoals_are_proposed_from_the_goal_backwards() -> None:
     three = tap(start, two)
     np.testing.assert_array_equal(proposer.propose(start, goal, 3), [three, two, one])
     assert proposer.propose(start, goal, 0).shape == (0, 16, 20, 3)
-
-
-def test_the_method_reads_images_only(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Blind:
-        """What the maze shows; asking for anything else fails."""
-
-        def __init__(self, *args: Any) -> None:
-            self._inside = MazeTrials(*args)
-
-        def __len__(self) -> int:
-            return len(self._inside)
-
-        def __getattr__(self, name: str) -> Any:
-            assert name in ("goals", "observe", "step", "success"), f"read {name}"
-            return getattr(self._inside, name)
-
-    evaluation = Evaluation.of(
-        "maze", method="tap", subgoals=2, method_model=str(checkpoint), **QUICK
-    )
-    with Task.open(evaluation) as task:
-        seen = Blind(evaluation.episode_seed, 0, 2, "hard")
-        source = proposed(2, ImageProposer(TAP(TAPConfig())))
-        assert source(seen, 1, 0).shape == (2, 64, 64, 3)  # type: ignore[arg-type]
-        monkeypatch.setattr(Task, "trials", lambda self, first, count: seen)
-        outcome = task.run(0, 2)
-    assert [len(found) for found in outcome.subgoals] == [2, 2]
-    assert all(trial.steps for trial in outcome.trials)
 
 
 def test_the_method_is_evaluated_by_name_alone_and_in_a_batch(

@@ -340,7 +340,7 @@ def test_worlds_and_models_that_cannot_are_named() -> None:
         """Draws nothing."""
 
     with pytest.raises(ValueError, match="cost: 'tdm' needs dynamics that draw frames, got Blank"):
-        tdm_of(small(), Blank())
+        tdm_of(small(), Blank(), Planning())
     with pytest.raises(ValueError, match="cost: 'tdm' needs a tdm model, got VAE"):
         tdm_world(Slide(), VAE(DESK_VAE), Planning())
 

@@ -610,7 +610,7 @@ def test_a_package_that_cannot_be_imported_does_not_hide_the_others(
     monkeypatch.setattr(MODELS, "_targets", targets)
     assert load_any(saved).name == "line"
     targets.pop("line")
-    with pytest.raises(ValueError, match="not to be imported: broken"):
+    with pytest.raises(ValueError, match="not to be imported: model 'broken'"):
         load_any(saved)
 
 

@@ -449,8 +449,20 @@ class SubgoalSource(Protocol):
 class SubgoalSourceAnew(SubgoalSource, Protocol):
     """A source that can be asked again on the way."""
 
-    def anew(self, trials: Trials, trial: int, seed: int, count: int) -> Frames:
-        """Return ``count`` subgoals of one trial from where it is now, or fewer."""
+    def anew(
+        self, trials: Trials, trial: int, seed: int, count: int, start: Frames | None = None
+    ) -> Frames:
+        """Return ``count`` subgoals of one trial from where it is now, or fewer.
+
+        Args:
+            trials: all of them.
+            trial: number of the one.
+            seed: of all randomness in the choice.
+            count: how many.
+            start: where it is now, one frame of a world with context (:class:`Remembering`), made
+                of what was seen and done; None for other worlds, and where the trial has just
+                begun: what it shows says all.
+        """
         ...
 
 

@@ -66,15 +66,18 @@ class Registry(Generic[T]):
 
         Raises:
             ValueError: there is none; names those that there are.
-            ImportError: it is somebody's, and cannot be imported.
+            ImportError: it is another package's, and cannot be imported; names both.
         """
         found = self._found()
         if name not in found:
             raise ValueError(f"{self.kind}: must be one of {', '.join(found)}; got {name!r}")
         target = found[name]
         if isinstance(target, str):
-            target = cast(T, imported(target))
-            self._targets[name] = target
+            try:
+                made = cast(T, imported(target))
+            except Exception as error:  # whatever the module of another package comes to
+                raise ImportError(f"{self.kind} {name!r} ({target}): {error}") from error
+            self._targets[name] = target = made
         return target
 
     def _found(self) -> dict[str, str | T]:

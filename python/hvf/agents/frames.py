@@ -35,6 +35,18 @@ def remembered(world: Remembering[Any], history: Images, actions: NDArray[np.flo
     return world.observe_history(images[:, first:], done[:, first:])
 
 
+def begun(world: Any, images: Images) -> Any:
+    """What a world starts from where trials have just begun: they see ``images[N, H, W, 3]``.
+
+    For a world with context (:class:`~hvf.protocols.Remembering`) nothing moved before.
+    """
+    remembers = isinstance(world, Remembering)
+    if not remembers:
+        return observed(world, images)
+    nothing = np.zeros((len(images), 0, len(world.action_low)), np.float32)
+    return remembered(world, images[:, None], nothing)
+
+
 def has_images(frames: Any) -> bool:
     """Whether frames are images, or keep those that they come from."""
     images = getattr(frames, "images", frames)

@@ -85,7 +85,11 @@ class PlanningAgent:
         assert self._trials is not None, "begin comes first"
         if not isinstance(self.source, SubgoalSourceAnew):
             return None
-        return self._aimed(trial, self.source.anew(self._trials, trial, seed, count))
+        start = None
+        if self._memory is not None:
+            which = np.array([trial])
+            start = self._memory.recall(which, self._trials.observe(which))
+        return self._aimed(trial, self.source.anew(self._trials, trial, seed, count, start))
 
     def _aimed(self, trial: int, found: Frames) -> Frames:
         """``found``, once they are what a trial aims at, before its goal."""

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hvf.agents.frames import observed
+from hvf.agents.frames import begun, observed
 from hvf.protocols import (
     Frames,
     Images,
@@ -76,7 +76,7 @@ class Searched:
         # All at once, which is cheaper than one by one.
         self._ends = _Once(
             lambda trials: (
-                observed(world, trials.observe(np.arange(len(trials)))),
+                begun(world, trials.observe(np.arange(len(trials)))),
                 observed(world, trials.goals),
             )
         )
@@ -87,10 +87,12 @@ class Searched:
         index = np.array([trial])
         return self._found(starts[index], goals[index], seed, self._count)
 
-    def anew(self, trials: Trials, trial: int, seed: int, count: int) -> Frames:
+    def anew(
+        self, trials: Trials, trial: int, seed: int, count: int, start: Frames | None = None
+    ) -> Frames:
         """Search from where a trial is now."""
         index = np.array([trial])
-        now = observed(self._world, trials.observe(index))
+        now = begun(self._world, trials.observe(index)) if start is None else start
         return self._found(now, self._ends(trials)[1][index], seed, min(count, self._count))
 
     def _found(self, start: Any, goal: Any, seed: int, count: int) -> Frames:

@@ -10,10 +10,12 @@ import itertools
 import re
 import sys
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
 
 from hvf.domains.domain import Domain
 from hvf.evaluation.evaluation import Evaluation
@@ -23,15 +25,18 @@ ConfigT = TypeVar("ConfigT")
 
 
 def named(
-    verb: str, registry: Registry[Any], about: Callable[[str], str], words: Sequence[str]
+    verb: str,
+    registry: Registry[Any],
+    words: Sequence[str],
+    about: Callable[[Any], str] = attrgetter("about"),
 ) -> tuple[str, list[str]]:
     """The name that the words begin with, and the rest; without a name, say which there are.
 
     Args:
         verb: for messages.
         registry: what may be named.
-        about: says what a name stands for, in a line.
         words: the command line after the verb.
+        about: says what a thing is, in a line.
 
     Raises:
         ValueError: a name that there is not.
@@ -49,13 +54,28 @@ def named(
         highlight=False,
     )
     for name in registry:
-        console.print(f"  [bold]{name:18}[/bold] {about(name)}", highlight=False)
+        console.print(
+            f"  [bold]{name:18}[/bold] {escape(_about(registry, name, about))}", highlight=False
+        )
     raise SystemExit(0 if asked else 2)
+
+
+def _about(
+    registry: Registry[Any], name: str, about: Callable[[Any], str] = attrgetter("about")
+) -> str:
+    """What a name stands for, in a line; or why it stands for nothing.
+
+    Another package's module may be missing: help on all others comes nevertheless.
+    """
+    try:
+        return about(registry[name])
+    except ImportError as error:
+        return f"cannot be imported: {error}"
 
 
 def domain_named(verb: str, words: Sequence[str]) -> tuple[Domain, list[str]]:
     """The domain that the words begin with, and the rest; see :func:`named`."""
-    name, rest = named(verb, DOMAINS, lambda name: DOMAINS[name].about, words)
+    name, rest = named(verb, DOMAINS, words)
     domain = DOMAINS[name]
     words_for_task = {domain.task_word}
     # Collections have an option of that name themselves.
@@ -186,10 +206,10 @@ def choices(domain: Domain) -> str:
         f"tasks ({domain.task_word}): {', '.join(domain.tasks) or 'none'}",
         *_more(domain),
         *(f"preset {name}: {preset.about}" for name, preset in domain.presets.items()),
-        *(f"method {name}: {METHODS[name].about}" for name in METHODS),
+        *(f"method {name}: {_about(METHODS, name)}" for name in METHODS),
         f"dynamics and generators: {', '.join(domain.weights) or 'none ship'}, simulator, oracle, "
         "or a checkpoint",
-        *(f"cost {name}: {COSTS[name].about}" for name in COSTS),
+        *(f"cost {name}: {_about(COSTS, name)}" for name in COSTS),
     ]
     return "\n\n".join(lines)
 

@@ -19,19 +19,16 @@ def run(words: Sequence[str]) -> None:
 
     if words and words[0] != "import" and not words[0].startswith("-"):
         raise ValueError(f"there is `hvf data import`, and no `hvf data {words[0]}`")
-    name, rest = named(
-        "data import", SOURCES, _about, words[1:] if words[:1] == ["import"] else words
-    )
+    rest = words[1:] if words[:1] == ["import"] else words
+    name, rest = named("data import", SOURCES, rest, lambda source: _first_line(source.__doc__))
     config = parsed(SOURCES[name], f"data import {name}", rest)
     console = Console()
     for path in config.run(console):
         console.print(f"{path}: {_held(path)}", highlight=False)
 
 
-def _about(name: str) -> str:
-    from hvf.data.importing import SOURCES
-
-    return (SOURCES[name].__doc__ or "").partition("\n")[0]
+def _first_line(text: str | None) -> str:
+    return (text or "").partition("\n")[0]
 
 
 def _held(path: object) -> str:

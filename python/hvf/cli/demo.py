@@ -27,14 +27,15 @@ class Demo:
         evaluation: which method, world and task, and how it plans; it is compared with none.
         episodes: how many.
         pictures: of how many of them to draw pictures.
-        out: folder for the pictures and the results.
+        out: folder for the pictures and the results; by default named after all settings that
+            differ from the preset's, in outputs/demo.
         workers: processes that simulate and draw; 0 for as many as there are cores.
     """
 
     evaluation: Evaluation
     episodes: int = 8
     pictures: int = 3
-    out: Path = Path("outputs/demo")
+    out: Path | None = None
     workers: int = 0
 
     def __post_init__(self) -> None:
@@ -56,6 +57,7 @@ def run(words: Sequence[str]) -> None:
     domain, rest = domain_named("demo", words)
     domain.check_task(domain.default_task)
     config = evaluating(Demo, "demo", domain, rest, **domain.demo)
+    out = config.out or Path("outputs", "demo", config.evaluation.slug)
     console = Console()
     reports: list[Report] = []
     pictures: list[Path] = []
@@ -76,15 +78,15 @@ def run(words: Sequence[str]) -> None:
                 console.print(how_it_went(caption, outcome), highlight=False)
                 if method == chosen and len(pictures) < config.pictures:
                     bar.update(description="drawing")
-                    stem = config.out / f"episode-{index}"
+                    stem = out / f"episode-{index}"
                     save_strip(episode, stem.with_suffix(".png"), caption)
                     save_film(episode, stem.with_suffix(".gif"), caption)
                     pictures.append(stem)
             seconds = time.perf_counter() - began
             report = Report.of(task.name, task.config, done, seconds, code_of())
-            save(report, config.out / f"{method}.json")
+            save(report, out / f"{method}.json")
             reports.append(report)
     console.print(table(reports, f"{config.episodes} episodes: {domain.name}"))
     for stem in pictures:
         console.print(f"{stem}.png (start, subgoals, goal, path) and {stem}.gif", highlight=False)
-    console.print(f"{config.out}/*.json: every trial, all settings and versions", highlight=False)
+    console.print(f"{out}/*.json: every trial, all settings and versions", highlight=False)

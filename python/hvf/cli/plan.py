@@ -29,14 +29,15 @@ class Plan:
     Attributes:
         evaluation: which method, world and task, and how it plans.
         episode: number of the episode.
-        out: folder for the pictures.
+        out: folder for the pictures; by default named after all settings that differ from the
+            preset's, in outputs/plan.
         film: kind of the film, gif or mp4; mp4 needs ``pip install imageio[ffmpeg]``.
         workers: processes that simulate and draw; 0 for as many as there are cores.
     """
 
     evaluation: Evaluation
     episode: int = 0
-    out: Path = Path("outputs/plan")
+    out: Path | None = None
     film: str = "gif"
     workers: int = 0
 
@@ -63,8 +64,10 @@ def run(words: Sequence[str]) -> None:
         name = f"{task.name}, episode {config.episode}"
         with progress(console, "", task.steps, "steps") as bar:
             outcome, episode = watch(task, config.episode, bar)
-    stem = config.out / f"episode-{config.episode}"
+    out = config.out or Path("outputs", "plan", config.evaluation.slug)
+    stem = out / f"episode-{config.episode}"
     save_strip(episode, stem.with_suffix(".png"), name)
     save_film(episode, stem.with_suffix(f".{config.film}"), name)
     console.print(how_it_went(name, outcome), highlight=False)
-    console.print(f"{stem.with_suffix('.png')} and {stem.with_suffix('.' + config.film)}")
+    files = f"{stem.with_suffix('.png')} and {stem.with_suffix('.' + config.film)}"
+    console.print(files, highlight=False, soft_wrap=True)

@@ -40,7 +40,8 @@ class Recorded:
             training episodes of the data, if it has any.
         preset: plan settings, by name; the others begin with them.
         planning: plan settings.
-        out: folder for the picture.
+        out: folder for the picture; by default named after domain, data and preset, in
+            outputs/plan.
         seed: of the search.
     """
 
@@ -55,7 +56,7 @@ class Recorded:
     train_data: Path | None = None
     preset: str = "default"
     planning: Planning = Planning()
-    out: Path = Path("outputs/plan")
+    out: Path | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -97,7 +98,9 @@ def run(domain: Domain, words: Sequence[str]) -> None:
             with console.status("looking for the nearest training frames"):
                 nearest = nearest_frames(known, others, found.subgoals)
             found = dataclasses.replace(found, nearest=nearest)
-    out = config.out / f"episode-{config.episode}-{ends[0]}-{ends[1]}.png"
+    name = f"{domain.name}-{config.data.stem}-{config.preset}"
+    folder = config.out or Path("outputs", "plan", name)
+    out = folder / f"episode-{config.episode}-{ends[0]}-{ends[1]}.png"
     found.write(out)
     console.print(f"{out}: {found.title}", highlight=False)
     costs = " + ".join(f"{cost:.3g}" for cost in found.segment_costs)

@@ -12,7 +12,7 @@ from hvf.registry import MODELS
 
 def run(words: Sequence[str]) -> None:
     """Train a model, or go on with a run that was stopped."""
-    name, rest = named("train", MODELS, lambda name: MODELS[name].about, words)
+    name, rest = named("train", MODELS, words)
     from hvf.training.recipe import recipe_class, run  # torch, which takes a second
 
     recipe = recipe_class(name)

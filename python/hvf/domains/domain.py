@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hvf.closing import Closing
 from hvf.protocols import SubgoalModel, Trials, WorldModel
+from hvf.registry import MODELS
 from hvf.settings import Planning, Preset, World
 
 
@@ -98,7 +99,9 @@ class Domain:
         task_word: what the paper calls them: "difficulty", "task".
         presets: plan settings by name; "default" is one of them.
         weights: checkpoints that ship, by the names that settings use for them.
-        generators: which generator goes with which dynamics, by name, if it is not said.
+        generators: which generator goes with which dynamics, by name, if it is not said. Dynamics
+            from a file go by the model that it holds.
+        video_generator: which goes with video models that are not among these; None for none.
         distances: which distance in steps goes with which dynamics, by name.
         privileged: dynamics that start from true states: no image gives these.
         published: success rates that Nair & Finn (ICLR 2020) give in numbers, 100 trials each.
@@ -124,6 +127,7 @@ class Domain:
     presets: Mapping[str, Preset] = field(default_factory=lambda: {"default": Preset(Planning())})
     weights: Mapping[str, Path] = field(default_factory=dict)
     generators: Mapping[str, str] = field(default_factory=dict)
+    video_generator: str | None = None
     distances: Mapping[str, str] = field(default_factory=dict)
     privileged: tuple[str, ...] = ()
     published: Published = field(default_factory=dict)
@@ -214,5 +218,34 @@ class Domain:
         if dynamics == "default":
             dynamics = self.presets["default"].world.dynamics
         if generator == "default":
-            generator = self.generators.get(dynamics, "default")
+            generator = self._generator_for(dynamics)
         return dataclasses.replace(world, dynamics=dynamics, generator=generator)
+
+    def model_of(self, name: str) -> str:
+        """The kind of model that a name stands for, or a checkpoint holds: its name in ``MODELS``.
+
+        What is neither, or cannot be read, is what it is called: loading it says what is wrong.
+        """
+        path = self.weights.get(name, Path(name))
+        if name in MODELS or not path.is_file():
+            return name
+        from hvf.models.checkpoint import entry_of, read_header  # torch, only where there is a file
+
+        try:
+            header = read_header(path)
+            return entry_of(header.model, header.package)[0]
+        except (ValueError, OSError):
+            return name
+
+    def _generator_for(self, dynamics: str) -> str:
+        """The generator that goes with dynamics, or ``"default"`` where there is none."""
+        if dynamics in self.generators:
+            return self.generators[dynamics]
+        model = self.model_of(dynamics)
+        if model in self.generators:
+            return self.generators[model]
+        if model in MODELS and self.video_generator is not None:
+            entry = MODELS[model]
+            if (entry.role, entry.kind) == ("dynamics", "video"):
+                return self.video_generator
+        return "default"

@@ -193,6 +193,7 @@ MAZE = Domain(
         "latent": WEIGHTS / "maze_latent.safetensors",
     },
     generators={"keypoint": "keypoint-generator", "simulator": "oracle", "latent": "cvae"},
+    video_generator="cvae",
     distances={"keypoint": "temporal-distance"},
     # Pixel cost without subgoals, and numbers of subgoals on hard. Their other results are in a
     # bar chart only.

@@ -114,7 +114,7 @@ class Evaluation:
         if method.needs_dynamics:
             world = self.place.resolved(self.world)
             words.append(_short(world.dynamics))
-            natural = self.place.resolved(World(self.world.dynamics)).generator
+            natural = self.place.generators.get(world.dynamics, "default")
             if method.needs_generator and world.generator != natural:
                 words[-1] += f" ({_short(world.generator)})"
             if world.cost != "pixel":

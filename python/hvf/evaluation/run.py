@@ -68,7 +68,7 @@ def evaluate(
         evaluation: which.
         trials: how many episodes.
         out: JSON file to write; its finished trials are kept and not run again.
-        chunk: trials that run in lock-step; 0 for what suits the domain.
+        chunk: trials that run in lock-step; 0 for what suits: one where that takes long.
         workers: processes that simulate and draw, for domains that have any.
         overwrite: start anew if ``out`` holds another evaluation.
         console: where progress goes.

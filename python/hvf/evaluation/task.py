@@ -103,10 +103,17 @@ class Task(Closing):
 
     @property
     def chunk(self) -> int:
-        """Episodes that run together: few where one takes long, since a stop loses them."""
+        """Episodes that run together: few where one takes long, since a stop loses them.
+
+        One where subgoals are searched for, or plans are made in Python: with a network as the
+        dynamics or as the cost, each takes seconds.
+        """
         place = self.evaluation.place
         if place.resolved(self.evaluation.world).dynamics in place.privileged:
             return _CHUNK_IF_SIMULATED
+        loaded = self.loaded
+        if loaded is not None and (loaded.generator is not None or not _is_native(loaded.world)):
+            return 1
         return _CHUNK_IF_SLOW if place.slow else _CHUNK
 
     @property
@@ -150,3 +157,8 @@ class Task(Closing):
         """Run episodes ``first..first + count``."""
         trials, seeds = self.trials(first, count), self.seeds(first, count)
         return act(trials, self.agent, self.evaluation.acting, seeds, watchers)
+
+
+def _is_native(world: Any) -> bool:
+    """Whether the planner has the dynamics and the cost of a world in Rust."""
+    return getattr(world, "native", None) is not None or type(world).__module__ == "hvf_core"

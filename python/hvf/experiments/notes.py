@@ -79,8 +79,7 @@ def outdated(evaluation: Evaluation, report: Report) -> list[str]:
     """
     domain = evaluation.place
     held = {part: weights["model"] for part, weights in report.weights.items()}
-    asked = cost_model(domain, evaluation.world, held.get("dynamics", ""))
-    names = {**evaluation.world_names, "cost": asked or ""}
+    names = {**evaluation.world_names, "cost": cost_model(domain, evaluation.world) or ""}
     shipped = {
         part: domain.weights[names[part]]
         for part in _PARTS

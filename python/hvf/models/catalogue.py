@@ -37,8 +37,9 @@ TEMPORAL_DISTANCE = ModelEntry(
     kind="object",
     role="distance",
     module="hvf.models.temporal_distance:TemporalDistance",
-    plannable="hvf.worlds.steps:steps_of",
-    judge="hvf.worlds.steps:judged",
+    plannable="hvf.worlds.steps:keypoint_steps",
+    judge="hvf.worlds.steps:keypoint_segments",
+    in_steps=True,
     recipe="hvf.training.recipes.temporal_distance:TemporalDistanceRecipe",
     assumes=(
         "what the keypoint dynamics assumes, whose keypoints it compares; "
@@ -91,8 +92,9 @@ LAYERS_DISTANCE = ModelEntry(
     kind="object",
     role="distance",
     module="hvf.models.layers.distance:LayerDistance",
-    plannable="hvf.worlds.steps:steps_of",
-    judge="hvf.worlds.steps:judged",
+    plannable="hvf.worlds.steps:layer_steps",
+    judge="hvf.worlds.steps:layer_segments",
+    in_steps=True,
     recipe="hvf.training.recipes.layers_distance:LayersDistanceRecipe",
     assumes="what the layers dynamics assumes, whose states it compares",
 )

@@ -139,7 +139,7 @@ def entry_of(model: str, package: str = "") -> tuple[str, ModelEntry]:
         try:
             entry = MODELS[name]
         except ImportError as error:  # of another package; what is asked for may be there
-            absent.append(f"{name} ({error})")
+            absent.append(str(error))
             continue
         if model == entry.class_name or model in entry.formerly:
             if package in ("", entry.package):

@@ -31,9 +31,9 @@ class ModelEntry:
         plannable: makes what the planner wants of a loaded module: ``plannable(module, planning)``
             for dynamics gives a :class:`~hvf.protocols.WorldModel`; ``plannable(module, world)``
             for a generator a :class:`~hvf.protocols.SubgoalModel`; ``plannable(module)`` for
-            proposals :class:`~hvf.protocols.Proposals`; ``plannable(module, world)`` for a
-            distance a
-            :class:`~hvf.protocols.WorldModel` around ``world`` (see :mod:`hvf.worlds.costs`);
+            proposals :class:`~hvf.protocols.Proposals`; ``plannable(module, world, planning)``
+            for a distance a :class:`~hvf.protocols.WorldModel` around ``world``, of which it is
+            the cost (see :mod:`hvf.worlds.distances`);
             ``plannable(module)`` for a proposer a :class:`~hvf.protocols.Proposer`, for a policy
             a :class:`~hvf.protocols.Policy`.
         recipe: its :class:`~hvf.training.recipe.Recipe`; None if it is not trained here.
@@ -42,6 +42,7 @@ class ModelEntry:
         judge: of a distance, what makes of a generator one whose segments cost this distance:
             ``judge(module, generator)`` gives a :class:`~hvf.protocols.Judging`; None if there is
             none.
+        in_steps: of a distance, whether it is one in steps of play, for the cost "temporal".
     """
 
     about: str
@@ -53,6 +54,7 @@ class ModelEntry:
     assumes: str = ""
     formerly: tuple[str, ...] = ()
     judge: Any = None
+    in_steps: bool = False
 
     @property
     def class_name(self) -> str:

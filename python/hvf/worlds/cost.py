@@ -18,10 +18,11 @@ class Cost:
     Attributes:
         about: what it measures, in a line.
         target: makes a world with this cost from (world, model, planning): a function, or
-            ``"module:attribute"``; None for what worlds measure by themselves.
+            ``"module:attribute"``; None for what worlds measure by themselves, and for a cost
+            ``in_steps``.
         model: the model that it asks, by its name among the domain's weights; None for none.
-        in_steps: whether it asks, in place of that, the distance in steps that goes with the
-            dynamics (:attr:`hvf.domains.domain.Domain.distances`).
+        in_steps: whether it is, in place of that, the distance in steps that goes with the
+            dynamics (:attr:`hvf.domains.domain.Domain.distances`), whose entry makes the world.
     """
 
     about: str
@@ -46,7 +47,6 @@ LATENT = Cost(
 )
 TEMPORAL = Cost(
     "learned distance in steps of random play, of what an object model perceives",
-    "hvf.worlds.steps:steps_world",
     in_steps=True,
 )
 TDM = Cost(

@@ -244,9 +244,9 @@ def tdm_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
     return _measured("tdm", world, FarDistance(model), planning)
 
 
-def tdm_of(model: TDM, world: Any) -> WorldModel[Any]:
-    """A world with this cost and no other settings; see :func:`tdm_world`."""
-    return tdm_world(world, model, Planning())
+def tdm_of(model: TDM, world: Any, planning: Planning) -> WorldModel[Any]:
+    """The same, as the model's entry has it; see :func:`tdm_world`."""
+    return tdm_world(world, model, planning)
 
 
 def _measured(

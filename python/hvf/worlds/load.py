@@ -116,10 +116,15 @@ def load(
         dynamics = _plannable(weights["dynamics"])(model, planning)
     cost = COSTS[world.cost]
     planned: WorldModel[Any] = dynamics
-    if cost.world is not None:
-        # Of the model and not of its name, which may be a file.
-        learned = weights["dynamics"].model if "dynamics" in weights else ""
-        asked = cost_model(domain, world, learned)
+    asked = cost_model(domain, world)
+    if cost.in_steps:
+        if asked is None:
+            raise ValueError(
+                f"cost_model: name one for the cost {world.cost!r}; none goes with {world.dynamics}"
+            )
+        model = module("cost", asked)
+        planned = _in_steps(weights["cost"], world.cost)(model, dynamics, planning)
+    elif cost.world is not None:
         model = module("cost", asked) if asked else None
         planned = cost.world(dynamics, model, planning)
     drawn: SubgoalModel[Any] | None = None
@@ -134,16 +139,18 @@ def load(
     return Loaded(planned, drawn, weights)
 
 
-def cost_model(domain: Domain, world: World, dynamics: str) -> str | None:
+def cost_model(domain: Domain, world: World) -> str | None:
     """The model that a cost asks: the one that is named, or else what goes with it; None for none.
 
     Args:
         domain: whose names count.
         world: names the cost, and may name the model.
-        dynamics: the kind of model that the dynamics are, whatever their name; empty for none.
     """
+    if world.cost_model is not None:
+        return world.cost_model
     cost = COSTS[world.cost]
-    return world.cost_model or (domain.distances.get(dynamics) if cost.in_steps else cost.model)
+    dynamics = domain.resolved(world).dynamics
+    return _distance_for(domain, dynamics) if cost.in_steps else cost.model
 
 
 def segment_model(domain: Domain, world: World) -> str:
@@ -153,12 +160,17 @@ def segment_model(domain: Domain, world: World) -> str:
         ValueError: none is named, and none goes with the dynamics.
     """
     dynamics = domain.resolved(world).dynamics
-    asked = world.segment_model or domain.distances.get(dynamics)
+    asked = world.segment_model or _distance_for(domain, dynamics)
     if asked is None:
         raise ValueError(
             f"segment_model: name one for the segment cost 'distance'; none goes with {dynamics}"
         )
     return asked
+
+
+def _distance_for(domain: Domain, dynamics: str) -> str | None:
+    """The distance in steps that goes with dynamics: with their model, which may be in a file."""
+    return domain.distances.get(dynamics) or domain.distances.get(domain.model_of(dynamics))
 
 
 def load_asked(domain: Domain, world: World, name: str) -> tuple[Weights, Any]:
@@ -240,6 +252,15 @@ def _read(part: str, path: Path, roles: tuple[Role, ...]) -> tuple[Weights, Any]
 
 def _plannable(weights: Weights) -> Any:
     return MODELS[weights.model].resolved("plannable")
+
+
+def _in_steps(weights: Weights, cost: str) -> Any:
+    if not MODELS[weights.model].in_steps:
+        raise ValueError(
+            f"cost_model: {cost!r} needs a distance in steps; {weights.path} holds a "
+            f"{weights.model} model"
+        )
+    return _plannable(weights)
 
 
 def _judge(weights: Weights) -> Any:

@@ -17,7 +17,6 @@ from torch import Tensor
 import hvf_core
 from hvf.models.layers.distance import LayerDistance
 from hvf.models.temporal_distance import TemporalDistance
-from hvf.protocols import WorldModel
 from hvf.settings import OverHorizon, Planning
 from hvf.threads import one_thread
 from hvf.worlds.keypoint import KeypointSubgoals, KeypointWorld
@@ -140,53 +139,52 @@ class KeypointStepsSubgoals:
         return segments
 
 
-def steps_world(world: Any, model: Any, planning: Planning) -> WorldModel[Any]:
-    """A world of an object model whose cost is a distance in steps.
+def keypoint_steps(model: TemporalDistance, world: Any, planning: Planning) -> KeypointStepsWorld:
+    """A world of keypoints whose cost is a distance in steps.
 
     Raises:
-        ValueError: a model that is no such distance, or is for another kind of world.
+        ValueError: another kind of world.
     """
-    over = planning.over_horizon
-    if isinstance(model, TemporalDistance):
-        if isinstance(world, KeypointWorld):
-            return KeypointStepsWorld(world, model, over)
+    if not isinstance(world, KeypointWorld):
         raise ValueError(f"cost: 'temporal' needs keypoint dynamics, got {type(world).__name__}")
-    if isinstance(model, LayerDistance):
-        if isinstance(world, LayerWorld):
-            _check(model, world)
-            return LayerStepsWorld(world, model, over)
-        raise ValueError(f"cost: 'temporal' needs layers dynamics, got {type(world).__name__}")
-    if model is None:
-        kind = type(world).__name__
-        raise ValueError(
-            f"cost: 'temporal' needs keypoint or layers dynamics, or a cost_model; got {kind}"
-        )
-    raise ValueError(
-        "cost: 'temporal' needs a temporal-distance or layers-distance model, got "
-        f"{type(model).__name__}"
-    )
+    return KeypointStepsWorld(world, model, planning.over_horizon)
 
 
-def steps_of(model: TemporalDistance | LayerDistance, world: Any) -> WorldModel[Any]:
-    """A world with this cost and no other settings; see :func:`steps_world`."""
-    return steps_world(world, model, Planning())
-
-
-def judged(model: Any, subgoals: Any) -> Any:
-    """Subgoals whose segments cost a distance in steps.
+def layer_steps(model: LayerDistance, world: Any, planning: Planning) -> LayerStepsWorld:
+    """A world of layers whose cost is a distance in steps.
 
     Raises:
-        ValueError: subgoals that are not of the model's kind.
+        ValueError: another kind of world, or states of another length.
     """
-    kind = type(subgoals).__name__
-    if isinstance(model, TemporalDistance):
-        if isinstance(subgoals, KeypointSubgoals):
-            return KeypointStepsSubgoals(subgoals, model)
+    if not isinstance(world, LayerWorld):
+        raise ValueError(f"cost: 'temporal' needs layers dynamics, got {type(world).__name__}")
+    _check(model, world)
+    return LayerStepsWorld(world, model, planning.over_horizon)
+
+
+def keypoint_segments(model: TemporalDistance, subgoals: Any) -> KeypointStepsSubgoals:
+    """Subgoals of keypoints whose segments cost a distance in steps.
+
+    Raises:
+        ValueError: subgoals of another kind.
+    """
+    if not isinstance(subgoals, KeypointSubgoals):
+        kind = type(subgoals).__name__
         raise ValueError(f"segment_model: temporal-distance is for keypoint-generator, got {kind}")
-    if isinstance(subgoals, StateSubgoals):
-        _check(model, subgoals.world)
-        return StateSubgoals(subgoals.generator, subgoals.world, model.eval())
-    raise ValueError(f"segment_model: layers-distance is for layers-generator, got {kind}")
+    return KeypointStepsSubgoals(subgoals, model)
+
+
+def layer_segments(model: LayerDistance, subgoals: Any) -> StateSubgoals:
+    """Subgoals of layers whose segments cost a distance in steps.
+
+    Raises:
+        ValueError: subgoals of another kind, or states of another length.
+    """
+    if not isinstance(subgoals, StateSubgoals):
+        kind = type(subgoals).__name__
+        raise ValueError(f"segment_model: layers-distance is for layers-generator, got {kind}")
+    _check(model, subgoals.world)
+    return StateSubgoals(subgoals.generator, subgoals.world, model.eval())
 
 
 def _check(model: LayerDistance, world: LayerWorld) -> None:

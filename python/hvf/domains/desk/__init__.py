@@ -123,6 +123,7 @@ DESK = Domain(
         "cvae": WEIGHTS / "desk_cvae.safetensors",
     },
     generators={"layers": "layers-generator", "latent": "cvae"},
+    video_generator="cvae",
     distances={"layers": "layers-distance"},
     privileged=("simulator",),
     collection="hvf.domains.desk.collection:DeskCollection",
