@@ -120,7 +120,12 @@ class Blind(Wandering):
 def models(folder: Path) -> tuple[str, str]:
     """Checkpoints of dynamics and generator; the models are registered."""
     for name, entry in (
-        ("drift", ModelEntry("drifts", "video", "dynamics", Drift, "hvf.worlds.video:world_of")),
+        (
+            "drift",
+            ModelEntry(
+                "drifts", "video", "dynamics", Drift, "hvf.worlds.video:world_of", in_torch=True
+            ),
+        ),
         ("wanderer", ModelEntry("wanders", "video", "generator", Wanderer, Wandering)),
     ):
         MODELS.register(name, entry, replace=True)

@@ -17,6 +17,28 @@ import hvf_core
 
 OverHorizon: TypeAlias = Literal["last", "sum", "min"]
 """Which predicted frames of a rollout count: the last, the sum over all, or the nearest."""
+Precision: TypeAlias = Literal["auto", "float32", "bfloat16"]
+"""Of convolutions: ``auto`` is bfloat16 on CUDA and float32 on a CPU."""
+
+
+def check_blur(name: str, blur: float) -> None:
+    """Refuse a blur that is not finite and at least 0.
+
+    Raises:
+        ValueError: it is not.
+    """
+    if not 0 <= blur < np.inf:
+        raise ValueError(f"{name}: must be finite and not negative, got {blur}")
+
+
+def check_word(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    """Refuse a ``value`` of ``name`` that is not one of the words ``allowed``.
+
+    Raises:
+        ValueError: it is not.
+    """
+    if value not in allowed:
+        raise ValueError(f"{name}: must be one of {', '.join(allowed)}; got {value!r}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -294,6 +316,12 @@ class World:
             "distance"; none for the domain's own.
         method_model: checkpoint of the model that the method asks, for methods that ask one of
             their own, such as "tap"; none for the domain's own.
+        device: where dynamics run that torch rolls out (sv2p, spatial-latent), such as "cpu" or
+            "cuda:1"; none for CUDA where there is one. What follows is for such dynamics, too.
+        precision: of convolutions: float32 or bfloat16; auto is bfloat16 on CUDA only.
+        memory_gb: gigabytes that batches of rollouts may take; none for 2 on a CPU, and for most
+            of what is free on CUDA.
+        compile: compile a step of the dynamics: pays in long searches on a GPU.
     """
 
     dynamics: str = "default"
@@ -302,6 +330,22 @@ class World:
     cost_model: str | None = None
     segment_model: str | None = None
     method_model: str | None = None
+    device: str | None = None
+    precision: Precision = "auto"
+    memory_gb: float | None = None
+    compile: bool = False
+
+    def __post_init__(self) -> None:
+        check_word("precision", self.precision, ("auto", "float32", "bfloat16"))
+        if self.memory_gb is not None and not 0 < self.memory_gb < math.inf:
+            raise ValueError(f"memory_gb: must be positive and finite, got {self.memory_gb}")
+
+    @property
+    def computing(self) -> dict[str, Any]:
+        """How dynamics are rolled out in torch, by setting, where that is not as usual."""
+        names = ("device", "precision", "memory_gb", "compile")
+        # A field's default is the class's own attribute.
+        return {n: getattr(self, n) for n in names if getattr(self, n) != getattr(World, n)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -347,23 +391,3 @@ def changed(planning: Planning, settings: Mapping[str, Any]) -> Planning:
         if name not in known:
             raise TypeError(f"{name}: there is no such setting")
     return dataclasses.replace(planning, **settings)
-
-
-def check_blur(name: str, blur: float) -> None:
-    """Refuse a blur that is not finite and at least 0.
-
-    Raises:
-        ValueError: it is not.
-    """
-    if not 0 <= blur < np.inf:
-        raise ValueError(f"{name}: must be finite and not negative, got {blur}")
-
-
-def check_word(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    """Refuse a ``value`` of ``name`` that is not one of the words ``allowed``.
-
-    Raises:
-        ValueError: it is not.
-    """
-    if value not in allowed:
-        raise ValueError(f"{name}: must be one of {', '.join(allowed)}; got {value!r}")

@@ -125,7 +125,8 @@ class Evaluation:
     def world_names(self) -> dict[str, str]:
         """What takes part, by its part: "dynamics", "generator", "cost", "segment", "method".
 
-        And what the task brings, as the maze's "layout".
+        And what the task brings, as the maze's "layout"; and how the dynamics are computed, where
+        that is not as usual.
         """
         method, world = METHODS[self.method], self.place.resolved(self.world)
         names = {"dynamics": world.dynamics} if method.needs_dynamics else {}
@@ -137,6 +138,8 @@ class Evaluation:
             names["segment"] = segment_model(self.place, world)
         if method.asks is not None:
             names["method"] = world.method_model or method.asks
+        if method.needs_dynamics:
+            names |= {name: str(value) for name, value in world.computing.items()}
         return {**names, **self.place.parts(self.task)}
 
     @property

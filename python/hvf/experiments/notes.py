@@ -5,6 +5,7 @@ All of it is read from the reports themselves.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import hashlib
 from collections.abc import Iterable
@@ -79,7 +80,11 @@ def outdated(evaluation: Evaluation, report: Report) -> list[str]:
     """
     domain = evaluation.place
     held = {part: weights["model"] for part, weights in report.weights.items()}
-    names = {**evaluation.world_names, "cost": cost_model(domain, evaluation.world) or ""}
+    # Of what was planned with then: a file may be gone.
+    world = dataclasses.replace(
+        evaluation.world, dynamics=held.get("dynamics", evaluation.world.dynamics)
+    )
+    names = {**evaluation.world_names, "cost": cost_model(domain, world) or ""}
     shipped = {
         part: domain.weights[names[part]]
         for part in _PARTS

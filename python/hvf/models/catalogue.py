@@ -125,6 +125,7 @@ SV2P = ModelEntry(
     role="dynamics",
     module="hvf.models.sv2p.model:SV2P",
     plannable="hvf.worlds.video:world_of",
+    in_torch=True,
     recipe="hvf.training.recipes.sv2p:SV2PRecipe",
     assumes="nothing of a scene but the size of its images, which 8 divides",
 )
@@ -135,6 +136,7 @@ SV2P_SMALL = ModelEntry(
     role="dynamics",
     module="hvf.models.sv2p.model:SV2PSmall",
     plannable="hvf.worlds.video:world_of",
+    in_torch=True,
     recipe="hvf.training.recipes.sv2p:SV2PSmallRecipe",
     assumes="what sv2p assumes",
 )
@@ -192,6 +194,7 @@ SPATIAL_LATENT = ModelEntry(
     role="dynamics",
     module="hvf.models.spatial.model:SpatialLatent",
     plannable="hvf.worlds.video:world_of",
+    in_torch=True,
     recipe="hvf.training.recipes.spatial:SpatialRecipe",
     assumes=(
         "nothing of a scene but the size of its images and actions; one frame tells all that "

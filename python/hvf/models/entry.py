@@ -42,6 +42,8 @@ class ModelEntry:
         judge: of a distance, what makes of a generator one whose segments cost this distance:
             ``judge(module, generator)`` gives a :class:`~hvf.protocols.Judging`; None if there is
             none.
+        in_torch: of dynamics, whether torch rolls them out: ``plannable`` then takes as keywords
+            where and how (:attr:`hvf.settings.World.computing`).
         in_steps: of a distance, whether it is one in steps of play, for the cost "temporal".
     """
 
@@ -55,6 +57,7 @@ class ModelEntry:
     formerly: tuple[str, ...] = ()
     judge: Any = None
     in_steps: bool = False
+    in_torch: bool = False
 
     @property
     def class_name(self) -> str:

@@ -110,10 +110,13 @@ def load(
         return models[part]
 
     if world.dynamics == "simulator":
+        _check_computing(world, "simulator", in_torch=False)
         dynamics = place.simulator(planning)
     else:
         model = module("dynamics", world.dynamics)
-        dynamics = _plannable(weights["dynamics"])(model, planning)
+        held = weights["dynamics"]
+        _check_computing(world, held.model, MODELS[held.model].in_torch)
+        dynamics = _plannable(held)(model, planning, **world.computing)
     cost = COSTS[world.cost]
     planned: WorldModel[Any] = dynamics
     asked = cost_model(domain, world)
@@ -151,6 +154,13 @@ def cost_model(domain: Domain, world: World) -> str | None:
     cost = COSTS[world.cost]
     dynamics = domain.resolved(world).dynamics
     return _distance_for(domain, dynamics) if cost.in_steps else cost.model
+
+
+def _check_computing(world: World, model: str, in_torch: bool) -> None:
+    """Refuse settings of torch for dynamics that it does not roll out."""
+    if world.computing and not in_torch:
+        names = ", ".join(world.computing)
+        raise ValueError(f"{names}: for dynamics that torch rolls out, which {model} is not")
 
 
 def segment_model(domain: Domain, world: World) -> str:

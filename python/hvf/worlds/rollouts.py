@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from functools import cached_property, partial
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -20,13 +20,11 @@ from hvf.cores import cores
 from hvf.models.frames import to_unit
 from hvf.models.video import State, VideoModel
 from hvf.protocols import Images
-from hvf.settings import check_word
+from hvf.settings import Precision, check_word
 from hvf.threads import one_thread
 from hvf.worlds.batching import Rows, allocated, batches, on_threads
 
 T = TypeVar("T")
-
-Precision: TypeAlias = Literal["auto", "float32", "bfloat16"]
 
 # Candidates of a batch on a CPU, at most: as many as keep its vector units busy while what is
 # computed on stays in the caches. It must not depend on the machine, and it divides 200.
@@ -116,7 +114,12 @@ class Rollouts:
             raise ValueError(f"memory_gb: must be positive and finite, got {memory_gb}")
         if device is None:
             device = "cuda" if torch.cuda.is_available() else "cpu"
-        self.device = torch.device(device)
+        try:
+            self.device = torch.device(device)
+        except RuntimeError as error:
+            raise ValueError(f"device: {device!r} is none that torch knows") from error
+        if self.device.type == "cuda" and not torch.cuda.is_available():
+            raise ValueError(f"device: there is no CUDA here, got {str(device)!r}")
         self.cuda = self.device.type == "cuda"
         self.model = model.eval().requires_grad_(False).to(self.device)
         self.model.to(memory_format=torch.channels_last)

@@ -25,10 +25,10 @@ from torch import Tensor
 from hvf.models.frames import to_frames, to_unit
 from hvf.models.video import State, VideoModel, sequence_noise
 from hvf.protocols import Images
-from hvf.settings import OverHorizon, Planning, check_word
+from hvf.settings import OverHorizon, Planning, Precision, check_word
 from hvf.worlds.batching import Rows
 from hvf.worlds.pixels import PixelCost
-from hvf.worlds.rollouts import Precision, Rollouts, VideoFrames, chosen
+from hvf.worlds.rollouts import Rollouts, VideoFrames, chosen
 from hvf.worlds.world import checked_images
 
 __all__ = ["RememberingVideoWorld", "VideoFrames", "VideoWorld", "world_of"]
@@ -310,11 +310,21 @@ class RememberingVideoWorld(VideoWorld):
         return VideoFrames(np.ascontiguousarray(kept[:, -1]), kept[:, :-1], past)
 
 
-def world_of(model: VideoModel, planning: Planning) -> VideoWorld:
+def world_of(
+    model: VideoModel,
+    planning: Planning,
+    *,
+    device: str | None = None,
+    precision: Precision = "auto",
+    memory_gb: float | None = None,
+    compile: bool = False,
+) -> VideoWorld:
     """The world that a trained video model is, with the cost of plan settings.
 
+    Other arguments are those of :class:`VideoWorld`.
+
     Raises:
-        ValueError: an ``action_repeat`` that the model cannot take.
+        ValueError: an ``action_repeat`` that the model cannot take, or a device that there is not.
     """
     kind = RememberingVideoWorld if model.context > 1 else VideoWorld
     return kind(
@@ -322,4 +332,8 @@ def world_of(model: VideoModel, planning: Planning) -> VideoWorld:
         blur=planning.blur,
         over_horizon=planning.over_horizon,
         action_repeat=planning.action_repeat,
+        device=device,
+        precision=precision,
+        memory_gb=memory_gb,
+        compile=compile,
     )
