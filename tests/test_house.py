@@ -287,6 +287,8 @@ def test_a_plugin_that_cannot_be_imported_is_named_and_spoils_no_other(tmp_path:
         assert known.split()[0] in said
         attribute = re.findall(r"'lost-(\w+)'", lost)[0].upper()
         assert lost.format(attribute) in re.sub(r"[\s│]+", " ", said)
+    status, said, _ = run("paper maze --no-run --only methods --out none")
+    assert (status, said.splitlines()[0]) == (0, "**Methods by difficulty**")
     assert "method 'hasty' (hasty:METHOD): no licence [red]" in re.sub(
         r"[\s│]+", " ", run("eval maze --help")[1]
     )

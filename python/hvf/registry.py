@@ -12,6 +12,7 @@ The groups are ``hvf.domains``, ``hvf.models``, ``hvf.methods`` and ``hvf.costs`
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
@@ -79,6 +80,12 @@ class Registry(Generic[T]):
                 raise ImportError(f"{self.kind} {name!r} ({target}): {error}") from error
             self._targets[name] = target = made
         return target
+
+    def importable(self) -> Iterator[T]:
+        """All things but those of other packages that cannot be imported."""
+        for name in self:
+            with contextlib.suppress(ImportError):
+                yield self[name]
 
     def _found(self) -> dict[str, str | T]:
         """All targets, with those of other packages' entry points."""

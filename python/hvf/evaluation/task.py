@@ -108,11 +108,12 @@ class Task(Closing):
         One where subgoals are searched for, or plans are made in Python: with a network as the
         dynamics or as the cost, each takes seconds.
         """
-        place = self.evaluation.place
+        place, loaded = self.evaluation.place, self.loaded
+        if loaded is not None and loaded.generator is not None:
+            return 1
         if place.resolved(self.evaluation.world).dynamics in place.privileged:
             return _CHUNK_IF_SIMULATED
-        loaded = self.loaded
-        if loaded is not None and (loaded.generator is not None or not _is_native(loaded.world)):
+        if loaded is not None and not _is_native(loaded.world):
             return 1
         return _CHUNK_IF_SLOW if place.slow else _CHUNK
 

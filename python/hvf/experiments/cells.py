@@ -39,7 +39,8 @@ class Setup:
     models: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
-        each = [*(METHODS[name].asks for name in METHODS), *(COSTS[name].model for name in COSTS)]
+        methods, costs = METHODS.importable(), COSTS.importable()
+        each = [*(method.asks for method in methods), *(cost.model for cost in costs)]
         asked = sorted({name for name in each if name is not None})
         for name, _ in self.models:
             if name not in asked:

@@ -70,8 +70,7 @@ def run_all(
         files: evaluations, and the JSON file of each.
         trials: episodes of each.
         workers: processes, 0 for as many as there are cores; results do not depend on it.
-        chunk: trials that run together, and that a stop loses; 0 for one where subgoals are
-            searched for, which takes long, else for what suits the domain.
+        chunk: trials that run together, and that a stop loses; 0 for what suits domain and method.
         console: where progress goes.
 
     Returns:
@@ -239,8 +238,6 @@ def _run(evaluation: Evaluation, file: Path, trials: int, chunk: int, errors: Co
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     _end_with_parent()
     keep_freed()
-    if not chunk and METHODS[evaluation.method].needs_generator:
-        chunk = 1
     try:
         evaluate(evaluation, trials, file, chunk=chunk, workers=1, console=Console(quiet=True))
     except KeyboardInterrupt:
