@@ -101,6 +101,15 @@ class Cell:
     order: Order | None = None
 
 
+def varied(
+    setup: Setup, method: str, subgoals: int, changed: Mapping[str, Any], **shared: Any
+) -> Cell:
+    """A cell with some settings ``changed``, beside what they are in the preset, in pairs."""
+    ours = setup.evaluation(method, subgoals, **shared, **changed)
+    other = setup.evaluation(method, subgoals, **shared) if changed else None
+    return Cell(ours, baseline=other)
+
+
 @dataclass(frozen=True)
 class PaperTable:
     """A table.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hvf.evaluation.evaluation import Evaluation
-from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.cells import Cell, PaperTable, Setup, varied
 from hvf.experiments.judging import Claim, Way, judging
 from hvf.experiments.methods import methods
 from hvf.registry import DOMAINS, METHODS
@@ -60,7 +60,7 @@ _ONE_AT_A_TIME: Mapping[str, Mapping[str, Any]] = {
     "a plan at every step": {"replan_every": 1},
     "no warm start": {"warm_start": False},
 }
-_OF_SUBGOALS = ("steps_per_subgoal", "threshold")
+_OF_SUBGOALS = {"steps_per_subgoal", "threshold"}
 """Settings that make no difference without subgoals."""
 
 _SMALL: Mapping[str, Any] = {"subgoal_samples": 128, "subgoal_elites": 12, "subgoal_iterations": 3}
@@ -176,13 +176,11 @@ def _sweep(setup: Setup) -> PaperTable:
 
     def cell(method: str, changed: Mapping[str, Any]) -> Cell:
         count = 0 if method == "none" else _CHOSEN[task]
-        anew = "choose_anew" in changed
-        if (anew and method == "ground-truth") or (not count and changed.keys() & {*_OF_SUBGOALS}):
+        # True subgoals are not chosen, so not anew either.
+        fixed = {"none": _OF_SUBGOALS, "ground-truth": {"choose_anew"}}
+        if changed.keys() & fixed.get(method, set()):
             return Cell(None)
-        ours, other = (
-            setup.evaluation(method, count, task=task, **settings) for settings in (changed, {})
-        )
-        return Cell(ours, baseline=other if changed else None)
+        return varied(setup, method, count, changed, task=task)
 
     chosen = ("none", "hvf", "ground-truth")
     return PaperTable(

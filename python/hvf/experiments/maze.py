@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hvf.evaluation.evaluation import Evaluation
-from hvf.experiments.cells import Cell, PaperTable, Setup
+from hvf.experiments.cells import Cell, PaperTable, Setup, varied
 from hvf.experiments.judging import Claim, Way, judging
 from hvf.experiments.methods import methods
 from hvf.experiments.planners import planners
@@ -259,11 +259,7 @@ def _objectives(setup: Setup) -> PaperTable:
         # torch: a search of plans takes minutes.
         if "segment_cost" in changed if not count else changed.keys() == {"cost"}:
             return Cell(None)
-        ours, other = (
-            setup.evaluation("hvf" if count else "none", count, task="hard", **settings)
-            for settings in (changed, {})
-        )
-        return Cell(ours, baseline=other if changed else None)
+        return varied(setup, "hvf" if count else "none", count, changed, task="hard")
 
     counts = (0, 1, 2, 3)
     return PaperTable(

@@ -6,14 +6,11 @@ All of it is read from the reports themselves.
 from __future__ import annotations
 
 import dataclasses
-import functools
-import hashlib
 from collections.abc import Iterable
-from pathlib import Path
 
 from hvf.evaluation.evaluation import Evaluation
 from hvf.evaluation.report import Report
-from hvf.worlds.load import cost_model
+from hvf.worlds.load import cost_model, file_checksum
 
 _PARTS = ("dynamics", "generator", "segment", "cost", "method")
 """Parts that a model may have, in the order in which they are named."""
@@ -93,14 +90,8 @@ def outdated(evaluation: Evaluation, report: Report) -> list[str]:
     return [
         names[part]
         for part, path in shipped.items()
-        if path.is_file() and report.weights[part]["sha256"] != _sum(path, path.stat().st_mtime_ns)
+        if path.is_file() and report.weights[part]["sha256"] != file_checksum(path)
     ]
-
-
-@functools.lru_cache
-def _sum(path: Path, changed: int) -> str:
-    """Checksum of a file, read again when it has changed."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _together(report: Report) -> tuple[str, ...]:

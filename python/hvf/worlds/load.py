@@ -6,6 +6,7 @@ makes a world of it. Torch is imported only where a learned model takes part.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -48,7 +49,7 @@ class Weights:
     @property
     def sha256(self) -> str:
         """Checksum of the file."""
-        return hashlib.sha256(self.path.read_bytes()).hexdigest()
+        return file_checksum(self.path)
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,16 @@ class Loaded:
     def kind(self) -> str:
         """What results may be compared with."""
         return kind_of(self.weights) if "dynamics" in self.weights else "simulator"
+
+
+def file_checksum(path: Path) -> str:
+    """SHA-256 of a file, which is read again only when it has changed."""
+    return _checksum(path, path.stat().st_mtime_ns)
+
+
+@functools.lru_cache
+def _checksum(path: Path, changed: int) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def kind_of(weights: Mapping[str, Weights]) -> str:
