@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -16,6 +17,7 @@ import hvf
 import hvf_core
 import processes
 from hvf.cli import VERBS, main
+from hvf.cli.arguments import searching_with
 from hvf.domains.domain import Domain, Place
 from hvf.evaluation.report import load
 from hvf.images import write_png
@@ -370,9 +372,39 @@ def test_images_that_are_not_there_or_do_not_fit_are_named(
         ("--domain=moon", "domain: must be one of maze, desk"),
         ("--generator=moon", "generator: 'moon' is neither a file"),
         ("--dynamics=cvae", "dynamics: "),
+        ("--samples=0", "samples: "),
+        ("--preset=moon", "preset: "),
+        ("--memory-gb=0", "memory_gb: must be positive"),
+        ("--method-model=x.safetensors", "method_model: no method acts here"),
     ):
         assert status([*words, option]) == 2
         assert said in one_line(capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("verb", ["subgoals", "plan", "report"])
+def test_a_search_that_acts_in_nothing_takes_all_of_a_preset_and_any_setting(verb: str) -> None:
+    pytest.importorskip("torch")
+    from hvf.cli.recorded import Recorded
+    from hvf.cli.subgoals import Subgoals
+    from hvf.experiments.video_report import VideoReport
+
+    configs: dict[str, tuple[Any, list[str]]] = {
+        "subgoals": (Subgoals, ["start", "goal"]),
+        "plan": (Recorded, ["data"]),
+        "report": (VideoReport, ["data"]),
+    }
+    config, needed = configs[verb]
+    desk = DOMAINS["desk"]
+    words = [f"--{name}=file" for name in needed]
+    usual = searching_with(config, verb, desk, words, needed)
+    default = desk.preset("default")
+    assert (usual.world, usual.planning) == (default.world, default.planning)
+    words += ["--preset=video", "--samples=20", "--elites=12", "--precision=bfloat16"]
+    found = searching_with(config, verb, desk, words, needed)
+    video = desk.preset("video")
+    assert found.world == dataclasses.replace(video.world, precision="bfloat16")
+    assert found.world.dynamics == "latent"
+    assert found.planning == dataclasses.replace(video.planning, samples=20, elites=12)
 
 
 def test_export_writes_the_same_model_at_half_its_size(

@@ -119,6 +119,26 @@ def test_subgoals_are_searched_between_two_recorded_frames(
     assert names == {".png", ".json", "-1.png", "-2.png"}
 
 
+def test_searches_with_other_settings_are_kept_apart(
+    wings: Path, cvae: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["plan", "firefly", "--data", str(data), "--dynamics", str(wings)]
+    words += ["--generator", str(cvae), "--subgoals", "1"]
+    for more in (
+        [],
+        ["--seed", "1"],
+        ["--samples", "61"],
+        ["--from", "1"],
+        ["--over-horizon", "min"],
+    ):
+        assert main([*words, *more]) == 0
+    folders = {path.name: path for path in (tmp_path / "outputs" / "plan").iterdir()}
+    assert len(folders) == 4
+    assert all(name.startswith(f"firefly-{data.stem}-default-subgoals-1") for name in folders)
+    assert sum(len(list(folder.glob("*.json"))) for folder in folders.values()) == 5
+
+
 def test_methods_are_evaluated_and_compared(
     wings: Path, cvae: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

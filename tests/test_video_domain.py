@@ -24,6 +24,7 @@ from hvf.evaluation.scenes import retrieved, scene_figures
 from hvf.experiments import video_report
 from hvf.experiments.video_report import VideoReport, report
 from hvf.registry import DOMAINS, MODELS
+from hvf.settings import World
 
 TRAIN, TEST = range(10, 18), range(100, 105)
 SETTINGS = """--horizon 1 --action-repeat 1 --samples 400 --elites 5 --iterations 1
@@ -261,8 +262,7 @@ def test_a_stopped_report_goes_on_and_ends_the_same(
     config = VideoReport(
         data=folder / "test.h5",
         train_data=folder / "train.h5",
-        dynamics=str(folder / "drift.safetensors"),
-        generator=str(folder / "wanderer.safetensors"),
+        world=World(str(folder / "drift.safetensors"), str(folder / "wanderer.safetensors")),
         subgoals=1,
         draws=6,
         planning=video_report.Planning(**whole[1]["settings"]["planning"]),

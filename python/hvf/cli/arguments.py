@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from operator import attrgetter
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import tyro
 from rich.console import Console
@@ -46,8 +46,8 @@ def named(
         if words[0] not in registry:
             registry[words[0]]  # raises, naming those that there are
         return words[0], list(words[1:])
-    asked = any(word in ("-h", "--help") for word in words)
-    console = Console(stderr=not asked)
+    helping = any(word in ("-h", "--help") for word in words)
+    console = Console(stderr=not helping)
     console.print(
         f"usage: hvf {verb} {registry.kind.upper()} \\[options]; "
         f"hvf {verb} {registry.kind.upper()} --help lists the options\n",
@@ -57,7 +57,7 @@ def named(
         console.print(
             f"  [bold]{name:18}[/bold] {escape(_about(registry, name, about))}", highlight=False
         )
-    raise SystemExit(0 if asked else 2)
+    raise SystemExit(0 if helping else 2)
 
 
 def _about(
@@ -158,7 +158,7 @@ def evaluating(
         own: settings that the command begins with in place of the preset's: of the evaluation, or
             of the config itself.
     """
-    preset = preset_named(words)
+    preset = asked(words, "preset", "default")
     fields = {field.name for field in dataclasses.fields(config)}  # type: ignore[arg-type]
     mine = {name: value for name, value in own.items() if name in fields}
     rest = {name: value for name, value in own.items() if name not in fields}
@@ -174,29 +174,48 @@ def evaluating(
     )
 
 
-def on_recorded(config: type[ConfigT], verb: str, domain: Domain, words: Sequence[str]) -> ConfigT:
-    """A config for recorded episodes, with a preset of the domain as its defaults.
+def searching_with(
+    config: type[ConfigT],
+    verb: str,
+    domain: Domain,
+    words: Sequence[str],
+    needed: Sequence[str],
+) -> ConfigT:
+    """A config of a search that acts in nothing, with a preset of the domain as its defaults.
 
     Args:
-        config: its class; a dataclass with fields ``data``, ``preset`` and ``planning``.
+        config: its class; a dataclass with fields ``preset``, ``world`` and ``planning``.
         verb: for the usage line.
         domain: whose presets.
-        words: the command line after the domain.
+        words: the command line after the verb and its name.
+        needed: fields that have no default.
+
+    Raises:
+        ValueError: the model of a method is named, but nothing acts.
     """
-    preset = preset_named(words)
-    planning = domain.preset(preset).planning
-    default: Any = config(data=tyro.MISSING, preset=preset, planning=planning)  # type: ignore[call-arg]
+    preset = asked(words, "preset", "default")
+    chosen = domain.preset(preset)
+    missing = dict.fromkeys(needed, tyro.MISSING)
+    default: Any = config(  # type: ignore[call-arg]
+        preset=preset, world=chosen.world, planning=chosen.planning, **missing
+    )
     about = (config.__doc__ or "").partition("\n\n    Attributes:")[0]
     lines = [f"preset {name}: {known.about}" for name, known in domain.presets.items()]
     description = "\n\n".join([about, *lines])
-    return parsed(config, f"{verb} {domain.name}", words, default=default, description=description)
+    made: Any = parsed(config, verb, words, default=default, description=description)
+    if made.world.method_model is not None:
+        raise ValueError("method_model: no method acts here, so none asks a model of its own")
+    return cast(ConfigT, made)
 
 
-def preset_named(words: Sequence[str]) -> str:
-    """The preset that a command line asks for: its settings are the defaults of the others."""
+def asked(words: Sequence[str], option: str, default: str) -> str:
+    """What a command line says of an option that the defaults of the others depend on.
+
+    A preset's settings are the defaults of all others, and its domain says which presets there are.
+    """
     scanner = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    scanner.add_argument("--preset", default="default")
-    return str(scanner.parse_known_args(list(words))[0].preset)
+    scanner.add_argument(f"--{option}", default=default, dest="said")
+    return str(scanner.parse_known_args(list(words))[0].said)
 
 
 def choices(domain: Domain) -> str:

@@ -10,8 +10,9 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from hvf.cli.arguments import on_recorded
+from hvf.cli.arguments import searching_with
 from hvf.domains.domain import Domain
+from hvf.evaluation.naming import changes, slug, word
 from hvf.settings import Planning, World
 
 
@@ -33,15 +34,14 @@ class Recorded:
         first: number of its frame that is the start.
         last: number of the frame that is the goal; negative numbers count from the end.
         subgoals: how many (K).
-        dynamics: a checkpoint, or a name of the domain's models.
-        generator: a checkpoint, or a name of the domain's models.
         camera: whose frames; the first one's by default.
         train_data: file of the training episodes that neighbours are looked for in; by default the
             training episodes of the data, if it has any.
-        preset: plan settings, by name; the others begin with them.
+        preset: settings, by name; the others begin with them.
+        world: what is planned with.
         planning: plan settings.
-        out: folder for the picture; by default named after domain, data and preset, in
-            outputs/plan.
+        out: folder for the picture; by default named after domain, data and all settings that
+            differ from the preset's, in outputs/plan.
         seed: of the search.
     """
 
@@ -50,11 +50,10 @@ class Recorded:
     first: Annotated[int, tyro.conf.arg(name="from", aliases=("--first",))] = 0
     last: Annotated[int, tyro.conf.arg(name="to", aliases=("--last",))] = -1
     subgoals: int = 2
-    dynamics: str = "default"
-    generator: str = "default"
     camera: str | None = None
     train_data: Path | None = None
     preset: str = "default"
+    world: World = World()
     planning: Planning = Planning()
     out: Path | None = None
     seed: int = 0
@@ -74,7 +73,7 @@ def run(domain: Domain, words: Sequence[str]) -> None:
     from hvf.evaluation.between import load_for, training_episodes
     from hvf.evaluation.neighbours import nearest_frames
 
-    config = on_recorded(Recorded, "plan", domain, words)
+    config = searching_with(Recorded, f"plan {domain.name}", domain, words, ["data"])
     console = Console()
     with (
         open_episodes(config.data, camera=config.camera) as file,
@@ -83,7 +82,7 @@ def run(domain: Domain, words: Sequence[str]) -> None:
         episode = Episode.read(file, config.episode)
         ends = episode.at("from", config.first), episode.at("to", config.last)
         with console.status("loading models"):
-            loaded = load_for(domain, World(config.dynamics, config.generator), config.planning)
+            loaded = load_for(domain, config.world, config.planning)
         with searching(console, config.subgoals, config.planning) as told:
             found = episode.search(
                 loaded, config.planning, ends, config.subgoals, config.seed, progress=told
@@ -98,10 +97,28 @@ def run(domain: Domain, words: Sequence[str]) -> None:
             with console.status("looking for the nearest training frames"):
                 nearest = nearest_frames(known, others, found.subgoals)
             found = dataclasses.replace(found, nearest=nearest)
-    name = f"{domain.name}-{config.data.stem}-{config.preset}"
-    folder = config.out or Path("outputs", "plan", name)
-    out = folder / f"episode-{config.episode}-{ends[0]}-{ends[1]}.png"
+    out = (
+        config.out or Path("outputs", "plan", _name(domain, config))
+    ) / f"episode-{config.episode}-{ends[0]}-{ends[1]}.png"
     found.write(out)
     console.print(f"{out}: {found.title}", highlight=False)
     costs = " + ".join(f"{cost:.3g}" for cost in found.segment_costs)
     console.print(f"segments {costs}; without subgoals {found.direct_cost:.3g}", highlight=False)
+
+
+def _name(domain: Domain, config: Recorded) -> str:
+    """A name for the folder of what a search makes, by all settings."""
+    preset = domain.preset(config.preset)
+    settings = {
+        **changes(config, Recorded(config.data)),
+        **changes(config.world, preset.world),
+        **changes(config.planning, preset.planning),
+    }
+    known = {"episode", "first", "last", "world", "planning", "preset", "train_data", "out"}
+    words = [domain.name, config.data.stem, config.preset]
+    words += [
+        f"{name}-{word(value, domain.weights)}"
+        for name, value in settings.items()
+        if name not in known
+    ]
+    return slug(words)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hvf.cli.arguments import domain_named, on_recorded
+from hvf.cli.arguments import domain_named, searching_with
 
 
 def run(words: Sequence[str]) -> None:
@@ -12,4 +12,5 @@ def run(words: Sequence[str]) -> None:
     domain, rest = domain_named("report", words)
     from hvf.experiments.video_report import VideoReport, report  # torch, which takes a second
 
-    report(domain, on_recorded(VideoReport, "report", domain, rest))
+    config = searching_with(VideoReport, f"report {domain.name}", domain, rest, ["data"])
+    report(domain, config)

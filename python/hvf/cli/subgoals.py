@@ -8,9 +8,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hvf.cli.arguments import parsed
+from hvf.cli.arguments import asked, searching_with
 from hvf.registry import DOMAINS
-from hvf.settings import World
+from hvf.settings import Planning, World
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,29 +25,28 @@ class Subgoals:
     Attributes:
         start: image of the start (PNG, JPEG, ...), of the size that the models were trained for.
         goal: image of the goal.
-        dynamics: a checkpoint, or a name of the domain's models.
-        generator: a checkpoint, or a name of the domain's models.
         subgoals: how many (K).
         out: picture to write; beside it a JSON file with the costs, and one PNG for each subgoal.
         domain: whose names and presets count.
-        preset: plan settings, by name.
+        preset: settings, by name; the others begin with them.
+        world: what is planned with.
+        planning: plan settings.
         seed: of the search.
     """
 
     start: Path
     goal: Path
-    dynamics: str = "default"
-    generator: str = "default"
     subgoals: int = 2
     out: Path = Path("outputs/subgoals/strip.png")
     domain: str = "maze"
     preset: str = "default"
+    world: World = World()
+    planning: Planning = Planning()
     seed: int = 0
 
     def __post_init__(self) -> None:
         if self.subgoals < 1:
             raise ValueError(f"subgoals: must be at least 1, got {self.subgoals}")
-        DOMAINS[self.domain].preset(self.preset)
 
 
 def run(words: Sequence[str]) -> None:
@@ -56,13 +55,12 @@ def run(words: Sequence[str]) -> None:
     from hvf.evaluation.between import load_for, search_between
     from hvf.images import read_image
 
-    config = parsed(Subgoals, "subgoals", words)
-    console = Console()
+    domain = DOMAINS[asked(words, "domain", Subgoals.domain)]
+    config = searching_with(Subgoals, "subgoals", domain, words, ["start", "goal"])
+    planning, console = config.planning, Console()
     start, goal = read_image("start", config.start), read_image("goal", config.goal)
-    domain = DOMAINS[config.domain]
-    planning = domain.preset(config.preset).planning
     with console.status("loading models"):
-        loaded = load_for(domain, World(config.dynamics, config.generator), planning)
+        loaded = load_for(domain, config.world, planning)
     with searching(console, config.subgoals, planning) as told:
         found = search_between(
             loaded, planning, start, goal, config.subgoals, config.seed, progress=told

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import tyro
 
-from hvf.cli.arguments import named, parsed, preset_named
+from hvf.cli.arguments import asked, named, parsed
 from hvf.registry import MODELS
 
 
@@ -16,7 +16,7 @@ def run(words: Sequence[str]) -> None:
     from hvf.training.recipe import recipe_class, run  # torch, which takes a second
 
     recipe = recipe_class(name)
-    preset = preset_named(rest)
+    preset = asked(rest, "preset", "default")
     about = (
         f"{MODELS[name].about}\n\nAssumes: {MODELS[name].assumes}.\n\n"
         "Ctrl-C stops; the same command goes on from there. "

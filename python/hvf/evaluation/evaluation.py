@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import re
-from collections.abc import Collection, Mapping
 from typing import Annotated, Any
 
 import tyro
 
 from hvf.data.splits import EPISODE_SEEDS
 from hvf.domains.domain import Domain
+from hvf.evaluation.naming import changes, short, slug, word
 from hvf.registry import DOMAINS, METHODS
 from hvf.settings import Acting, Planning, World
 from hvf.worlds.load import segment_model
@@ -113,10 +112,10 @@ class Evaluation:
         words = [self.label]
         if method.needs_dynamics:
             world = self.place.resolved(self.world)
-            words.append(_short(world.dynamics))
+            words.append(short(world.dynamics))
             natural = self.place.generators.get(world.dynamics, "default")
             if method.needs_generator and world.generator != natural:
-                words[-1] += f" ({_short(world.generator)})"
+                words[-1] += f" ({short(world.generator)})"
             if world.cost != "pixel":
                 words.append(f"{world.cost} cost")
         return f"{self.domain} {self.task}: {', '.join(words)}"
@@ -150,10 +149,10 @@ class Evaluation:
         tell (a path, a tuple) is followed by a checksum.
         """
         method, place = METHODS[self.method], self.place
-        task = self.task if re.fullmatch(r"[a-z0-9_.-]+", self.task) else _word(self.task, ())
+        task = self.task if re.fullmatch(r"[a-z0-9_.-]+", self.task) else word(self.task, ())
         words = [self.domain, task, self.label, self.preset]
         preset = place.preset(self.preset)
-        world = dict(_changes(self.world, preset.world))
+        world = dict(changes(self.world, preset.world))
         if not method.needs_generator:
             world.pop("generator", None)
         if not self._measures_segments:
@@ -162,40 +161,16 @@ class Evaluation:
             world.pop("method_model", None)
         if not method.needs_dynamics:
             world = {name: value for name, value in world.items() if name == "method_model"}
-        for name, value in {**world, **_changes(self.planning, preset.planning)}.items():
-            words.append(f"{name}-{_word(value, place.weights)}")
+        for name, value in {**world, **changes(self.planning, preset.planning)}.items():
+            words.append(f"{name}-{word(value, place.weights)}")
         if self.split != "validation":
             words.append(self.split)
         if self.seed is not None:
             words.append(f"seed-{self.seed}")
-        return re.sub(r"[^a-z0-9.]+", "-", " ".join(words).lower()).strip("-")
+        return slug(words)
 
     @property
     def _measures_segments(self) -> bool:
         """Whether segments cost a distance."""
         searches = METHODS[self.method].needs_generator
         return searches and self.planning.segment_cost == "distance"
-
-
-def _changes(a: Any, b: Any) -> Mapping[str, Any]:
-    """Fields of ``a`` that differ from those of ``b``."""
-    names = [field.name for field in dataclasses.fields(a)]
-    return {name: getattr(a, name) for name in names if getattr(a, name) != getattr(b, name)}
-
-
-def _word(value: Any, names: Collection[str]) -> str:
-    """A value in a file's name, with a checksum where the word does not tell it exactly."""
-    word = _short(str(value))
-    number = isinstance(value, int | float) and value >= 0
-    plain = number or value is None or value in names or re.fullmatch(r"[a-z0-9.]+", word)
-    if plain and word == str(value):
-        return word
-    return f"{word}-{hashlib.sha256(repr(value).encode()).hexdigest()[:6]}"
-
-
-def _short(name: str) -> str:
-    """A model's name; a checkpoint by its run."""
-    if "/" not in name and not name.endswith(".safetensors"):
-        return name
-    words = name.removesuffix(".safetensors").removesuffix("/model").split("/")
-    return words[-1]

@@ -57,16 +57,14 @@ class VideoReport:
         data: file of episodes: all of one for tests, else the validation episodes.
         episodes: how many, spread evenly over those that there are.
         subgoals: how many (K).
-        dynamics: a checkpoint, or a name of the domain's models; "none" to report on the generator
-            only, which can be of data without actions.
-        generator: a checkpoint, or a name of the domain's models; "none" to report on predictions
-            only.
         camera: whose frames; the first one's by default.
         train_data: file of the training episodes, for neighbours; the data's own by default.
         draws: images that the generator draws for each episode.
         steps_ahead: steps that the dynamics predict, as far as episodes are as long.
         windows: predictions in each episode.
-        preset: plan settings, by name; the others begin with them.
+        preset: settings, by name; the others begin with them.
+        world: what is planned with; without dynamics ("none") the report is on the generator only,
+            which can be of data without actions, and without a generator on predictions only.
         planning: plan settings.
         out: folder for the report.
         seed: of searches and draws.
@@ -76,14 +74,13 @@ class VideoReport:
     data: Path
     episodes: int = 20
     subgoals: int = 2
-    dynamics: str = "default"
-    generator: str = "default"
     camera: str | None = None
     train_data: Path | None = None
     draws: int = 16
     steps_ahead: int = 10
     windows: int = 3
     preset: str = "default"
+    world: World = World()
     planning: Planning = Planning()
     out: Path = Path("outputs/report")
     seed: int = 0
@@ -93,7 +90,7 @@ class VideoReport:
         for name in ("episodes", "subgoals", "draws", "steps_ahead", "windows"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: must be at least 1, got {getattr(self, name)}")
-        if self.dynamics == self.generator == NONE:
+        if self.world.dynamics == self.world.generator == NONE:
             raise ValueError("dynamics: without dynamics and generator there is nothing to report")
 
 
@@ -154,7 +151,7 @@ class _Work:
         self._numbers = held_out
         self._episodes = [Recorded.read(file, number) for number in held_out]
         self._training = training_episodes(known)
-        self._planned = config.dynamics != NONE
+        self._planned = config.world.dynamics != NONE
         # Figures and pictures are of the same images; retrieving reads all training episodes.
         self.drawn = functools.cache(self._draw)
         self.retrieved = functools.cache(self._retrieve)
@@ -300,12 +297,10 @@ def _held_out(file: EpisodeReader, count: int) -> list[int]:
 
 
 def _load(domain: Domain, config: VideoReport) -> Loaded:
-    world = World(config.dynamics, config.generator)
-    if config.dynamics == NONE:
-        return load_generator(domain, config.generator)
-    if config.generator == NONE:
-        return load_for(domain, world, config.planning, generator=False)
-    return load_for(domain, world, config.planning)
+    world = config.world
+    if world.dynamics == NONE:
+        return load_generator(domain, world.generator)
+    return load_for(domain, world, config.planning, generator=world.generator != NONE)
 
 
 def _head(
@@ -317,8 +312,10 @@ def _head(
 ) -> dict[str, Any]:
     """All that a report is a function of, but the number of its episodes; JSON's types."""
     settings = dataclasses.asdict(config)
-    for name in ("data", "train_data", "episodes", "out", "overwrite", "dynamics", "generator"):
+    for name in ("data", "train_data", "episodes", "out", "overwrite"):
         del settings[name]
+    # Models stand for themselves, by their weights, wherever their files are.
+    settings["world"] = {"cost": config.world.cost, **config.world.computing}
     head = {
         "format": FORMAT,
         "domain": domain.name,
